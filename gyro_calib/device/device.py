@@ -1,0 +1,153 @@
+"""A device: resonator, chains, electronics, noise and surroundings; its slow flow in closed form (theory.md Eqs. 3-4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DeviceError
+from .chains import DriveChain, Feedthrough, PickoffChain
+from .electronics import Electronics, Environment, Loops, Noise
+from .resonator import J, Nonlinearity, Resonator
+
+__all__ = ["Device", "FactoryData", "SlowFlow"]
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class SlowFlow:
+    """``p' = (A - i (omega - omega0)) p + G u``, ``V = p + E u``.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+        [1/s], [1/s], dimensionless; rows are pick-offs x, y.
+    omega0_rad_s : float
+        Frequency about which A is written [rad/s].
+    dA_dOmega : ndarray, shape (2, 2), complex
+        Derivative of A with the input rate, dimensionless.
+    """
+
+    A: ComplexArray
+    G: ComplexArray
+    E: ComplexArray
+    omega0_rad_s: float
+    dA_dOmega: ComplexArray
+
+
+@dataclass(frozen=True)
+class FactoryData:
+    """What left the factory with the unit; everything a calibrator may know in advance.
+
+    Parameters
+    ----------
+    kind : str
+        ``"ring"``, ``"disk"``, ``"hrg"``.
+    angular_gain_kappa, nominal_f0_hz, nominal_q : float
+        As measured or designed.
+    drive_gain_ratio_x_over_y : float
+        rho of theory.md section 5; NaN when it was not measured.
+    nominal_scale_factor_x_v_per_rad_s, nominal_scale_factor_y_v_per_rad_s : float
+        What the firmware divides the rebalance volts by, by oscillator axis, at ``nominal_amplitude_v``.
+    nominal_amplitude_v : float
+        Amplitude of the mission [V].
+    """
+
+    kind: str
+    angular_gain_kappa: float
+    nominal_f0_hz: float
+    nominal_q: float
+    nominal_scale_factor_x_v_per_rad_s: float
+    nominal_scale_factor_y_v_per_rad_s: float
+    drive_gain_ratio_x_over_y: float = math.nan
+    nominal_amplitude_v: float = 1.0
+
+
+@dataclass(frozen=True)
+class Device:
+    """A gyro as it truly is.
+
+    Parameters
+    ----------
+    device_id : str
+        Identity of the unit.
+    factory_data : FactoryData
+        What a calibrator may know.
+    resonator, drive, pickoff, feedthrough, nonlinearity, electronics, loops, noise, environment
+        Its parts.
+    """
+
+    device_id: str
+    factory_data: FactoryData
+    resonator: Resonator
+    drive: DriveChain
+    pickoff: PickoffChain
+    electronics: Electronics
+    feedthrough: Feedthrough = field(default_factory=Feedthrough)
+    nonlinearity: Nonlinearity = field(default_factory=Nonlinearity)
+    loops: Loops = field(default_factory=Loops)
+    noise: Noise = field(default_factory=Noise)
+    environment: Environment = field(default_factory=Environment)
+
+    def __post_init__(self) -> None:
+        if not self.device_id:
+            raise DeviceError("Device device_id must be a non-empty text, but got ''.")
+        samples = self.electronics.adc_rate_hz / self.resonator.frequency_hz
+        if samples < 8.0:
+            raise DeviceError(
+                f"Device electronics.adc_rate_hz must give 8 or more samples per carrier cycle, but got {samples:.3g}. Raise adc_rate_hz."
+            )
+
+    def temperature_rise(self, temperature_degc: float) -> float:
+        """Temperature above the resonator's reference [K]."""
+        return temperature_degc - self.resonator.reference_temperature_degc
+
+    def slow_flow(
+        self, rate_rad_s: float = 0.0, temperature_degc: float | None = None, omega_rad_s: float | None = None
+    ) -> SlowFlow:
+        """A, G, E of theory.md Eq. 4 at an input rate and temperature, about ``omega_rad_s`` (default: the natural frequency).
+
+        With the actual reference frequency the steady state is exact; elsewhere it is the first order of averaging.
+        The zero-order hold of the drive scales G by sinc(f T); its delay of half a sample is taken back by the firmware's phase advance.
+        """
+        t = self.environment.temperature_degc if temperature_degc is None else temperature_degc
+        rise = self.temperature_rise(t)
+        omega = 2.0 * math.pi * self.resonator.frequency_at(t) if omega_rad_s is None else omega_rad_s
+        pick = self.pickoff.matrix(rise)
+        inverse = np.linalg.inv(pick)
+        stiffness = self.resonator.stiffness_matrix(t) - omega**2 * np.eye(2)
+        inner = -0.5 * self.resonator.damping_matrix(t) + 0.5j / omega * stiffness
+        coriolis = pick @ (-self.resonator.angular_gain * J) @ inverse
+        hold = np.sinc(omega / (2.0 * math.pi) / self.electronics.adc_rate_hz)
+        gain = -0.5j / omega * hold * pick @ self.drive.matrix(rise)
+        return SlowFlow(
+            A=pick @ inner @ inverse + rate_rad_s * coriolis, G=gain, E=self.feedthrough.matrix(), omega0_rad_s=omega, dA_dOmega=coriolis
+        )
+
+    def factory(self) -> dict[str, Any]:
+        """Factory data in the form that recordings and the driver carry."""
+        f = self.factory_data
+        data: dict[str, Any] = {
+            "unit": self.device_id,
+            "kind": f.kind,
+            "angular_gain_kappa": f.angular_gain_kappa,
+            "nominal_f0_hz": f.nominal_f0_hz,
+            "nominal_q": f.nominal_q,
+            "reference_temperature_degC": self.resonator.reference_temperature_degc,
+            "dac_full_scale_V": self.electronics.dac_full_scale_v,
+            "adc_full_scale_V": self.electronics.adc_full_scale_v,
+            "nominal_scale_factor_v_per_rad_s": {
+                "x": f.nominal_scale_factor_x_v_per_rad_s,
+                "y": f.nominal_scale_factor_y_v_per_rad_s,
+            },
+            "nominal_amplitude_v": f.nominal_amplitude_v,
+            "dac_zero_order_hold_s": 1.0 / self.electronics.adc_rate_hz,
+        }
+        if math.isfinite(f.drive_gain_ratio_x_over_y):
+            data["drive_gain_ratio_x_over_y"] = f.drive_gain_ratio_x_over_y
+        return data

@@ -1,0 +1,115 @@
+"""Converters, sampling, loops, noise and surroundings of a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import DeviceError
+from .checks import require_finite, require_non_negative, require_positive
+
+__all__ = ["Electronics", "Environment", "Loops", "Noise"]
+
+
+@dataclass(frozen=True)
+class Electronics:
+    """Sampling and converters.
+
+    Parameters
+    ----------
+    adc_rate_hz : float
+        Converter rate; 12 or more samples per carrier cycle.
+    samples_per_control : int
+        Converter samples per control step (a multiple that spans whole half cycles of the carrier is best).
+    controls_per_row : int
+        Control steps per recorded row.
+    adc_full_scale_v, dac_full_scale_v : float
+        Converters clip here.
+    adc_bits, dac_bits : int
+        0 = ideal, no quantisation.
+    """
+
+    adc_rate_hz: float
+    samples_per_control: int = 24
+    controls_per_row: int = 20
+    adc_full_scale_v: float = 2.5
+    dac_full_scale_v: float = 5.0
+    adc_bits: int = 0
+    dac_bits: int = 0
+
+    def __post_init__(self) -> None:
+        require_finite(self)
+        require_positive(self, "adc_rate_hz", "samples_per_control", "controls_per_row", "adc_full_scale_v", "dac_full_scale_v")
+        require_non_negative(self, "adc_bits", "dac_bits")
+
+    @property
+    def control_rate_hz(self) -> float:
+        """Control steps per second [Hz]."""
+        return self.adc_rate_hz / self.samples_per_control
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Recorded rows per second [Hz]."""
+        return self.control_rate_hz / self.controls_per_row
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Closed-loop bandwidths [Hz]."""
+
+    pll_bandwidth_hz: float = 20.0
+    amplitude_bandwidth_hz: float = 10.0
+    rebalance_bandwidth_hz: float = 100.0
+
+    def __post_init__(self) -> None:
+        require_finite(self)
+        require_positive(self, "pll_bandwidth_hz", "amplitude_bandwidth_hz", "rebalance_bandwidth_hz")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White noise of the electronics; the thermomechanical noise follows from the resonator.
+
+    Parameters
+    ----------
+    pickoff_v_rthz : float
+        Pick-off noise, one-sided amplitude density [V/sqrt(Hz)].
+    drive_v_rthz : float
+        Drive noise, one-sided amplitude density [V/sqrt(Hz)].
+    thermomechanical : bool
+        Include the Brownian force.
+    """
+
+    pickoff_v_rthz: float = 0.0
+    drive_v_rthz: float = 0.0
+    thermomechanical: bool = True
+
+    def __post_init__(self) -> None:
+        require_finite(self)
+        require_non_negative(self, "pickoff_v_rthz", "drive_v_rthz")
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Temperature of the resonator over time.
+
+    Parameters
+    ----------
+    temperature_degc : float
+        Mean temperature.
+    ramp_k_per_s : float
+        Steady drift.
+    wander_k, wander_time_s : float
+        Standard deviation and correlation time of an Ornstein-Uhlenbeck wander.
+    """
+
+    temperature_degc: float = 25.0
+    ramp_k_per_s: float = 0.0
+    wander_k: float = 0.0
+    wander_time_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        require_finite(self)
+        require_non_negative(self, "wander_k")
+        require_positive(self, "wander_time_s")
+        if not -273.15 < self.temperature_degc < 1000.0:
+            raise DeviceError(f"Environment temperature_degc must be above absolute zero and below 1000, but got {self.temperature_degc!r}.")

@@ -1,0 +1,125 @@
+"""Device descriptions in YAML: every key is a field of a dataclass with its unit in its name; unknown keys are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import yaml
+
+from ..errors import DeviceError
+from ..paths import share_path
+from .chains import DriveChain, Feedthrough, PickoffChain
+from .device import Device, FactoryData
+from .electronics import Electronics, Environment, Loops, Noise
+from .resonator import Nonlinearity, Resonator
+
+__all__ = ["device_from_dict", "device_to_dict", "dump_device", "load_device"]
+
+SCHEMA = 1
+_PARTS: dict[str, type[Any]] = {
+    "factory": FactoryData,
+    "resonator": Resonator,
+    "drive": DriveChain,
+    "pickoff": PickoffChain,
+    "feedthrough": Feedthrough,
+    "nonlinearity": Nonlinearity,
+    "electronics": Electronics,
+    "loops": Loops,
+    "noise": Noise,
+    "environment": Environment,
+}
+_REQUIRED = ("factory", "resonator", "drive", "pickoff", "electronics")
+T = TypeVar("T")
+
+
+def load_device(source: str | Path) -> Device:
+    """Read a device description.
+
+    Parameters
+    ----------
+    source : str or Path
+        Path of a YAML file, or the name of a packaged device (``"ring_15k"``).
+
+    Raises
+    ------
+    DeviceError
+        File absent, not YAML, unknown or missing key, value of the wrong type or not physical.
+    """
+    path = Path(source)
+    if not path.is_file():
+        packaged = share_path("config", "devices", f"{Path(source).name.removesuffix('.yaml')}.yaml")
+        if path.parent != Path(".") or not packaged.is_file():
+            known = sorted(p.stem for p in packaged.parent.glob("*.yaml"))
+            raise DeviceError(f"Device must be a YAML file or one of {', '.join(known)}, but got {str(source)!r}.")
+        path = packaged
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        raise DeviceError(f"Device file {path.name} must be readable YAML, but got: {error}.") from error
+    return device_from_dict(document)
+
+
+def dump_device(device: Device, path: str | Path) -> None:
+    """Write a device description that :func:`load_device` reads back equal."""
+    Path(path).write_text(yaml.safe_dump(device_to_dict(device), sort_keys=False), encoding="utf-8")
+
+
+def device_to_dict(device: Device) -> dict[str, Any]:
+    """Plain mapping of a device (the YAML document)."""
+    document: dict[str, Any] = {"schema": SCHEMA, "device_id": device.device_id}
+    for key in _PARTS:
+        document[key] = dataclasses.asdict(getattr(device, "factory_data" if key == "factory" else key))
+    return document
+
+
+def device_from_dict(document: Any) -> Device:
+    """Inverse of :func:`device_to_dict`; parts other than the required ones default."""
+    if not isinstance(document, Mapping):
+        raise DeviceError(f"Device document must be a mapping, but got {type(document).__name__}.")
+    unknown = sorted(set(map(str, document)) - set(_PARTS) - {"schema", "device_id"})
+    missing = [key for key in ("device_id", *_REQUIRED) if key not in document]
+    if unknown or missing:
+        raise DeviceError(f"Device document must have known keys, but got unknown {unknown} and missing {missing}.")
+    if document.get("schema", SCHEMA) != SCHEMA:
+        raise DeviceError(f"Device schema must be {SCHEMA}, but got {document['schema']!r}.")
+    parts = {
+        "factory_data" if key == "factory" else key: _build(_PARTS[key], key, document[key]) for key in _PARTS if key in document
+    }
+    return Device(device_id=str(document["device_id"]), **parts)
+
+
+def _build(kind: type[T], name: str, values: Any) -> T:
+    if not isinstance(values, Mapping):
+        raise DeviceError(f"Device part {name} must be a mapping, but got {values!r}.")
+    hints = get_type_hints(kind)
+    unknown = sorted(set(map(str, values)) - set(hints))
+    if unknown:
+        raise DeviceError(f"Device part {name} must have keys among {', '.join(hints)}, but got {', '.join(unknown)}.")
+    try:
+        return kind(**{key: _coerce(f"{name}.{key}", hints[key], value) for key, value in values.items()})
+    except TypeError as error:
+        raise DeviceError(f"Device part {name} must be complete, but got {sorted(values)} ({error}).") from error
+
+
+def _coerce(name: str, wanted: Any, value: Any) -> Any:
+    """YAML 1.1 reads ``1e6`` as text: numbers are accepted as text, nothing else is."""
+    if wanted is bool:
+        if not isinstance(value, bool):
+            raise DeviceError(f"Device value {name} must be true or false, but got {value!r}.")
+        return value
+    if wanted is str:
+        return str(value)
+    try:
+        if isinstance(value, bool):
+            raise ValueError
+        number = float(value)
+        if wanted is int:
+            if number != int(number):
+                raise ValueError
+            return int(number)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DeviceError(f"Device value {name} must be {'an integer' if wanted is int else 'a number'}, but got {value!r}.") from error
+    return number

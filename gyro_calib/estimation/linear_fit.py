@@ -1,0 +1,162 @@
+"""Weighted linear least squares of the projected slow flow: A, G~, E and the body response, one complex equation per axis.
+
+Noise is measured, not assumed: the residual of the same recordings at neighbouring lines, where nothing was commanded, gives its density as
+``c_0 + c_1 / f + c_2 f^2`` (force noise, flicker, pick-off noise), separately for the in-phase and the 90-degree part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from ..errors import CalibrationRefused
+
+__all__ = ["AXES", "Equation", "LinearFit", "NoiseModel", "fit_axis", "fit_noise"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+AXES = ("x", "y")
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Two-sided density ``c_0 + c_1/f + c_2 f^2`` of the residual [V^2/s^2/Hz], floor below ``lowest_hz``."""
+
+    coefficients: tuple[float, float, float]
+    lowest_hz: float
+
+    def density(self, frequency_hz: FloatArray) -> FloatArray:
+        """Density at each frequency, shape as the argument."""
+        f = np.maximum(np.abs(frequency_hz), self.lowest_hz)
+        c = self.coefficients
+        return np.asarray(c[0] + c[1] / f + c[2] * f**2)
+
+
+def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float) -> NoiseModel:
+    """Fit the density to squared residual projections (each chi-square with one degree of freedom), non-negative coefficients.
+
+    ``lowest_hz`` is where flicker is cut off: the effective frequency of the carrier line of a record, about a third of its 1/duration.
+    """
+    f = np.abs(frequency_hz)
+    basis = np.column_stack([np.ones_like(f), 1.0 / f, f**2])
+    scale = np.median(squares) / 0.455
+    expected = np.full_like(f, max(scale, 1e-300))
+    coefficients = np.array([expected[0], 0.0, 0.0])
+    for _ in range(8):
+        coefficients, _ = nnls(basis / expected[:, None], squares / expected)
+        expected = np.maximum(basis @ coefficients, 1e-3 * expected.mean())
+    return NoiseModel((float(coefficients[0]), float(coefficients[1]), float(coefficients[2])), lowest_hz)
+
+
+@dataclass(frozen=True)
+class Equation:
+    """The equations of one recording for one axis.
+
+    Parameters
+    ----------
+    lhs : ndarray, shape (m,), complex
+    regressors : ndarray, shape (m, k), complex
+        Columns in the order of the coefficients' names.
+    gram : ndarray, shape (m, m)
+    sd_re, sd_im : ndarray, shape (m,)
+        Noise of real and imaginary part of each equation.
+    detuning : ndarray, shape (m,), complex, or None
+        Regressor of this recording's own resonance shift (``i lambda p``), when the axis oscillates.
+    """
+
+    lhs: ComplexArray
+    regressors: ComplexArray
+    gram: FloatArray
+    sd_re: FloatArray
+    sd_im: FloatArray
+    detuning: ComplexArray | None = None
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """Estimate of one axis.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (k,), complex
+    covariance : ndarray, shape (2k, 2k)
+        Of (Re c_0, Im c_0, Re c_1, …).
+    chi2, dof : float, int
+        Weighted residual and its degrees of freedom.
+    condition_number : float
+        Of the column-scaled weighted design matrix.
+    residuals : tuple of ndarray, complex
+        Per recording, unweighted.
+    """
+
+    coefficients: ComplexArray
+    covariance: FloatArray
+    chi2: float
+    dof: int
+    condition_number: float
+    residuals: tuple[ComplexArray, ...]
+
+
+def _whitener(gram: FloatArray, sd: FloatArray) -> FloatArray:
+    covariance = gram * np.outer(sd, sd)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def fit_axis(equations: list[Equation]) -> LinearFit:
+    """Solve all equations of one axis.
+
+    Raises
+    ------
+    CalibrationRefused
+        Fewer equations than unknowns, or a singular design.
+    """
+    count = equations[0].regressors.shape[1]
+    shifts = [i for i, e in enumerate(equations) if e.detuning is not None]
+    unknowns = 2 * count + len(shifts)
+    designs, targets = [], []
+    for i, e in enumerate(equations):
+        re, im = e.regressors.real, e.regressors.imag
+        shift_re, shift_im = np.zeros((e.lhs.size, len(shifts))), np.zeros((e.lhs.size, len(shifts)))
+        if e.detuning is not None:
+            column = shifts.index(i)
+            shift_re[:, column], shift_im[:, column] = -e.detuning.imag, e.detuning.real
+        top = np.empty((e.lhs.size, 2 * count))
+        bottom = np.empty_like(top)
+        top[:, 0::2], top[:, 1::2] = re, -im
+        bottom[:, 0::2], bottom[:, 1::2] = im, re
+        for part, shift, value, sd in ((top, shift_re, e.lhs.real, e.sd_re), (bottom, shift_im, e.lhs.imag, e.sd_im)):
+            white = _whitener(e.gram, sd)
+            designs.append(white @ np.hstack([part, shift]))
+            targets.append(white @ value)
+    design, target = np.vstack(designs), np.concatenate(targets)
+    used = np.linalg.norm(design, axis=0)
+    if design.shape[0] < unknowns or np.any(used == 0.0):
+        raise CalibrationRefused(
+            f"Recordings must give at least {unknowns} independent equations, but got {design.shape[0]} "
+            f"({int(np.sum(used == 0.0))} unknowns never excited). Record side bands on both axes, feedthrough and body excitation."
+        )
+    scaled = design / used
+    u, s, vt = np.linalg.svd(scaled, full_matrices=False)
+    if s[-1] < 1e-13 * s[0]:
+        raise CalibrationRefused(f"Design must be of full rank, but got condition number {s[0] / max(s[-1], 1e-300):.3g}.")
+    solution = (vt.T @ ((u.T @ target) / s)) / used
+    covariance = (vt.T / s**2) @ vt / np.outer(used, used)
+    residual = target - design @ solution
+    coefficients = solution[0 : 2 * count : 2] + 1j * solution[1 : 2 * count : 2]
+    raw = []
+    for i, e in enumerate(equations):
+        left = e.lhs - e.regressors @ coefficients
+        if e.detuning is not None:
+            left = left - 1j * e.detuning * solution[2 * count + shifts.index(i)]
+        raw.append(left)
+    return LinearFit(
+        coefficients=coefficients,
+        covariance=covariance[: 2 * count, : 2 * count],
+        chi2=float(residual @ residual),
+        dof=design.shape[0] - unknowns,
+        condition_number=float(s[0] / s[-1]),
+        residuals=tuple(raw),
+    )

@@ -1,0 +1,176 @@
+"""Project a recording on test functions: the slow flow as exact linear equations, without differentiating data.
+
+Multiply the slow flow by ``phi(t) = w(t) cos(nu t)`` or ``w(t) sin(nu t)`` with a window ``w`` that vanishes smoothly at both ends, integrate by
+parts, and every derivative falls on ``phi``: no end-point terms, no leakage error (both sides of the equation see the same linear functional,
+whatever else the signals hold), and a free decay or a slow drift inside the record does no harm. This replaces the Fourier window over whole
+periods of document 000 (step "data table"), whose end-point term must use the true ends (theory.md section 2).
+
+Exact envelope equation, normalised by ``2 i omega0`` (from theory.md Eq. 1 with x = Re[X e^{i phi}], no averaging):
+
+    (omega/omega0) p' + (p'' + i omega' p + C p')/(2 i omega0) + i (omega^2 - omega0^2)/(2 omega0) p = A p + G u,   V = p + E u,
+
+so with ``G~ = G - A E`` everything is linear in (A, G~, E): ``L[V] = A V + G~ u + E L[u]``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording.recording import Recording
+
+__all__ = ["Projected", "TestFunctions", "project", "test_functions"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: share of the record that each end of the window takes to rise
+TAPER = 0.06
+
+
+@dataclass(frozen=True)
+class TestFunctions:
+    """Test functions with their first two derivatives.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (m,)
+        Line of each function.
+    value, first, second : ndarray, shape (m, n)
+        phi, phi', phi'' at the rows, normalised to unit sum of squares of phi times the row time: a white process of two-sided density S
+        projects to variance S.
+    """
+
+    __test__ = False
+
+    frequency_hz: FloatArray
+    value: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+
+def _window(n: int, row_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Flat window with C3 ends (7th-order smooth step), its first and second derivative."""
+    duration = n * row_s
+    rise = TAPER * duration
+    t = (np.arange(n) + 0.5) * row_s
+    w, d1, d2 = np.ones(n), np.zeros(n), np.zeros(n)
+    for inside, x, sign in ((t < rise, t / rise, 1.0), (duration - t < rise, (duration - t) / rise, -1.0)):
+        x = x[inside]
+        w[inside] = x**4 * (35.0 - 84.0 * x + 70.0 * x**2 - 20.0 * x**3)
+        d1[inside] = sign * 140.0 * x**3 * (1.0 - x) ** 3 / rise
+        d2[inside] = 420.0 * x**2 * (1.0 - x) ** 2 * (1.0 - 2.0 * x) / rise**2
+    return w, d1, d2
+
+
+def test_functions(t: FloatArray, row_s: float, frequencies_hz: list[float]) -> TestFunctions:
+    """Cosine and sine test functions at each line (a single one at zero), referred to the device time ``t`` of the rows."""
+    w, d1, d2 = _window(t.size, row_s)
+    lines, value, first, second = [], [], [], []
+    for f in frequencies_hz:
+        nu = 2.0 * math.pi * f
+        waves = [(np.ones_like(t), np.zeros_like(t))] if f == 0.0 else []
+        if f != 0.0:
+            c, s = np.cos(nu * t), np.sin(nu * t)
+            waves = [(c, -s), (s, c)]
+        for wave, slope in waves:
+            phi = w * wave
+            scale = 1.0 / math.sqrt(row_s * float(phi @ phi))
+            lines.append(f)
+            value.append(scale * phi)
+            first.append(scale * (d1 * wave + nu * w * slope))
+            second.append(scale * (d2 * wave + 2.0 * nu * d1 * slope - nu**2 * phi))
+    return TestFunctions(np.array(lines), np.array(value), np.array(first), np.array(second))
+
+
+test_functions.__test__ = False  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class Projected:
+    """The linear equations of one recording: ``lhs[j, axis] = sum_k regressor[j, k] * coefficient[axis, k]``.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (m,)
+        Line of each equation.
+    lhs : ndarray, shape (m, 2), complex
+        L[V_x], L[V_y] [V/s].
+    pick, drive, drive_rate : ndarray, shape (m, 2), complex
+        V, u, L[u]: regressors of A, G~ and E.
+    body : ndarray, shape (m,), complex
+        Projected volts of the body excitation.
+    cubic : ndarray, shape (m, 2), complex
+        Projected |V|^2 V of each axis [V^3].
+    gram : ndarray, shape (m, m)
+        Inner products of the test functions: correlation of their noise.
+    """
+
+    frequency_hz: FloatArray
+    lhs: ComplexArray
+    pick: ComplexArray
+    drive: ComplexArray
+    drive_rate: ComplexArray
+    body: ComplexArray
+    cubic: ComplexArray
+    gram: FloatArray
+
+
+def project(recording: Recording, frequencies_hz: list[float], omega0_rad_s: float, decay_rate: float) -> Projected:
+    """Project a recording on its lines.
+
+    Parameters
+    ----------
+    recording : Recording
+        One segment. ``extras`` may hold ``dac_zero_order_hold_s`` and ``firmware_drive_phase_advance_rad``.
+    frequencies_hz : list of float
+        Side-band lines; 0 is the carrier itself.
+    omega0_rad_s : float
+        Frequency about which A and G are written.
+    decay_rate : float
+        Rough 1/tau [1/s], for the small term C p'/(2 i omega0).
+    """
+    t, row_s = recording.t, 1.0 / recording.sample_rate_hz
+    f = test_functions(t, row_s, frequencies_hz)
+    omega = recording.ref_omega_rad_s
+    volts = recording.pick
+    drive = recording.drive * hold_factor(recording, omega, omega0_rad_s)[:, None]
+    stretch = (omega / omega0_rad_s)[:, None]
+    detuning = ((omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s))[:, None]
+    slow = (omega - omega0_rad_s)[:, None] / (2.0 * omega0_rad_s)
+    half_hold = 0.5 * float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
+
+    def rate(signal: ComplexArray) -> ComplexArray:
+        # L: by parts, phi p' -> -phi' p, phi p'' -> phi'' p, phi omega' p -> -phi' (omega - omega0) p
+        first = -(f.first @ ((stretch + slow) * signal)) + (f.second - 2.0 * decay_rate * f.first) @ signal / (2j * omega0_rad_s)
+        return row_s * (first + 1j * (f.value @ (detuning * signal)))
+
+    body = recording.command.excitation.volts if recording.command.excitation.kind == "body" else 0.0
+    return Projected(
+        frequency_hz=f.frequency_hz,
+        lhs=rate(volts),
+        pick=row_s * (f.value @ volts),
+        drive=row_s * ((f.value + half_hold * f.first) @ drive),
+        drive_rate=rate(recording.drive),
+        body=row_s * f.value.sum(axis=1) * complex(body),
+        cubic=row_s * (f.value @ (np.abs(volts) ** 2 * volts)),
+        gram=row_s * (f.value @ f.value.T),
+    )
+
+
+def hold_factor(recording: Recording, omega: FloatArray, omega0_rad_s: float) -> ComplexArray:
+    """Drive that acts over drive that is recorded, relative to the one at ``omega0``: zero-order hold against the firmware's phase advance.
+
+    The hold of length h gives sinc(omega h / 2 pi) e^{-i omega h/2}; a firmware that advances the phase by a constant takes it back only at
+    its own frequency, which matters off resonance (feedthrough, body excitation).
+    """
+    hold = float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
+    if hold <= 0.0:
+        return np.ones_like(omega, dtype=complex)
+    gain = np.sinc(omega * hold / (2.0 * math.pi)) / np.sinc(omega0_rad_s * hold / (2.0 * math.pi))
+    advance = recording.extras.get("firmware_drive_phase_advance_rad")
+    if advance is None:
+        return np.asarray(gain + 0j)
+    return np.asarray(gain * np.exp(-0.5j * (omega - omega0_rad_s) * hold))

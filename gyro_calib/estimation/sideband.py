@@ -1,0 +1,284 @@
+"""The side-band method (document 000) on a force-rebalance campaign: from recordings to rate, bias, scale factor, with covariance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..device.operating_point import OperatingPoint, ftr_operating_point
+from ..errors import CalibrationRefused
+from ..quantity import Quantity
+from ..recording.recording import Campaign, Recording
+from .result import CalibrationResult, ConvergencePoint, MissionChannel
+from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
+from .slow_flow_fit import SlowFlowEstimate, fit_slow_flow, usable_recordings
+
+__all__ = ["calibrate_sideband"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_AXIS = {"x": 0, "y": 1}
+#: a warning above this reduced chi-square; the covariance is scaled by it when it is above one
+_CHI2_WARN = 2.0
+_CONVERGENCE_POINTS = 6
+
+
+def calibrate_sideband(
+    campaign: Campaign,
+    *,
+    priors: Priors | None = None,
+    on_progress: Callable[[float], None] | None = None,
+    with_convergence: bool = True,
+) -> CalibrationResult:
+    """Estimate rate, bias and scale factor of a force-rebalance gyro that was not turned.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Side bands on both oscillator axes; better with open drive (feedthrough) and body excitation (pick-off phase).
+    priors : Priors, optional
+        What is known of the pick-off chain.
+    on_progress : callable, optional
+        Called with a fraction 0-1.
+    with_convergence : bool
+        Also estimate from growing subsets of the recordings.
+
+    Raises
+    ------
+    CalibrationRefused
+        The recordings do not support the estimate; the text says what to record.
+    """
+    kappa = campaign.factory.get("angular_gain_kappa")
+    if not isinstance(kappa, int | float) or not kappa > 0:
+        raise CalibrationRefused(
+            f"Factory data must hold a positive angular_gain_kappa, but got {kappa!r}. No self-calibration sees it; take it from the factory."
+        )
+    priors = priors or Priors()
+    recordings, skipped = usable_recordings(campaign)
+    if not recordings:
+        raise CalibrationRefused("Campaign must hold force-rebalance recordings (ftr_x and ftr_y), but got none.")
+    problem = _Problem(recordings, campaign.factory, float(kappa), priors)
+    values, covariance = problem.solve()
+    if on_progress is not None:
+        on_progress(0.5)
+    convergence: tuple[ConvergencePoint, ...] = ()
+    if with_convergence:
+        convergence = _convergence(recordings, campaign.factory, float(kappa), priors, on_progress)
+    return problem.result(campaign.device_id, values, covariance, tuple(skipped), convergence)
+
+
+@dataclass(frozen=True)
+class _Derived:
+    """Everything derived from one parameter vector, flat, with names."""
+
+    names: tuple[str, ...]
+    values: FloatArray
+    frame: PickoffFrame
+
+
+class _Problem:
+    """The estimate of one set of recordings and its propagation to derived quantities."""
+
+    def __init__(self, recordings: list[Recording], factory: Mapping[str, Any], kappa: float, priors: Priors) -> None:
+        self.kappa = kappa
+        self.priors = priors
+        self.factory = factory
+        decay = math.pi * float(factory.get("nominal_f0_hz", 0.0)) / float(factory.get("nominal_q", math.inf))
+        self.fit: SlowFlowEstimate = fit_slow_flow(recordings, decay)
+        self.deviations = Deviations.of(self.fit, priors)
+        ratio = factory.get("drive_gain_ratio_x_over_y")
+        self.drive_ratio = float(ratio) if isinstance(ratio, int | float) and math.isfinite(ratio) else None
+        self.amplitude = float(factory.get("nominal_amplitude_v", 0.0)) or _main_amplitude(recordings)
+        self.volts = {axis: _held_volts(recordings, axis, self.amplitude) for axis in _AXIS}
+
+    def derive(self, vector: FloatArray, nuisance: FloatArray) -> _Derived:
+        """Rate, bias, scale factors, … of a parameter vector; ``nuisance`` are the priors' means in standard deviations."""
+        A, G, E, _ = self.fit.unpack(vector)
+        frame = solve_pickoff_frame(self.fit, vector, self.deviations, self.drive_ratio, self.priors, nuisance)
+        rate = input_rate_times_kappa(A, frame) / self.kappa
+        response = angular_response(frame, self.kappa)
+        at_rest = A - rate * response
+        bare = frame.without_phase(at_rest)
+        symmetric = bare @ frame.metric
+        named: dict[str, float] = {"rate": rate}
+        for axis in _AXIS:
+            bias, slope = _line(at_rest, response, G, np.zeros((2, 2)), None, self.amplitude, axis)
+            named[f"bias_{axis}"], named[f"scale_{axis}"] = bias / slope, slope
+            named[f"mission_bias_{axis}"], named[f"mission_scale_{axis}"] = _line(
+                at_rest, response, G, E, self.volts[axis], self.amplitude, axis
+            )
+        named |= {"pickoff_ratio": frame.ratio, "pickoff_phase": frame.phase_rad, "pickoff_non_orthogonality": 0.5 * frame.skew}
+        named["cross_damping"] = -float(symmetric[0, 1].real + symmetric[1, 0].real) / frame.ratio
+        named["cross_stiffness"] = self.fit.omega0_rad_s * float(symmetric[0, 1].imag + symmetric[1, 0].imag) / frame.ratio
+        for matrix, name in ((A, "A"), (G, "G"), (E, "E")):
+            for i, row in enumerate("xy"):
+                for j, column in enumerate("xy"):
+                    named[f"{name}_{row}{column}_re"] = float(matrix[i, j].real)
+                    named[f"{name}_{row}{column}_im"] = float(matrix[i, j].imag)
+        for i, row in enumerate("xy"):
+            named[f"G_{row}{row}_abs"] = abs(G[i, i])
+            named[f"decay_rate_{row}"] = -float(A[i, i].real)
+        return _Derived(tuple(named), np.array(list(named.values())), frame)
+
+    def solve(self) -> tuple[_Derived, FloatArray]:
+        """Derived values and their covariance: measured noise and priors, by central differences."""
+        vector = self.fit.vector()
+        zero = np.zeros(NUISANCES)
+        here = self.derive(vector, zero)
+        sd = np.sqrt(np.diag(self.fit.covariance))
+        scale = max(1.0, self.fit.chi2 / max(self.fit.dof, 1))
+        columns = []
+        for i in range(vector.size):
+            step = np.zeros_like(vector)
+            step[i] = sd[i]
+            columns.append((self.derive(vector + step, zero).values - self.derive(vector - step, zero).values) / (2.0 * sd[i]))
+        jacobian = np.column_stack(columns)
+        covariance = scale * jacobian @ self.fit.covariance @ jacobian.T
+        for i in range(NUISANCES):
+            step = np.zeros(NUISANCES)
+            step[i] = 1.0
+            slope = 0.5 * (self.derive(vector, step).values - self.derive(vector, -step).values)
+            covariance += np.outer(slope, slope)
+        return here, covariance
+
+    def result(
+        self, device_id: str, derived: _Derived, covariance: FloatArray, skipped: tuple[str, ...], convergence: tuple[ConvergencePoint, ...]
+    ) -> CalibrationResult:
+        """Package the outcome."""
+        index = {name: i for i, name in enumerate(derived.names)}
+        sd = np.sqrt(np.diag(covariance))
+
+        def q(name: str, unit: str) -> Quantity:
+            return Quantity(float(derived.values[index[name]]), float(sd[index[name]]), unit)
+
+        mission = {}
+        for axis in _AXIS:
+            pick = [index[f"mission_bias_{axis}"], index[f"mission_scale_{axis}"]]
+            mission[axis] = MissionChannel(
+                float(derived.values[pick[0]]), float(derived.values[pick[1]]), covariance[np.ix_(pick, pick)]
+            )
+        not_observable, warnings = self._verdicts(derived, skipped)
+        parameters = {name: q(name, _unit(name)) for name in derived.names if not name.startswith(("rate", "bias_", "scale_", "mission_"))}
+        return CalibrationResult(
+            device_id=device_id,
+            method="sideband",
+            rate=q("rate", "rad/s"),
+            bias={a: q(f"bias_{a}", "rad/s") for a in _AXIS},
+            scale_factor={a: q(f"scale_{a}", "V/(rad/s)") for a in _AXIS},
+            mission=mission,
+            parameters=parameters,
+            rate_noise_density={a: self._noise_density(a, abs(derived.values[index[f"scale_{a}"]])) for a in _AXIS},
+            condition_number=self.fit.condition_number,
+            chi2_per_dof=self.fit.chi2 / max(self.fit.dof, 1),
+            amplitude_v=self.amplitude,
+            temperature_degc=self.fit.temperature_degc,
+            temperature_sd_k=self.fit.temperature_sd_k,
+            reference_frequency_hz=self.fit.omega0_rad_s / (2.0 * math.pi),
+            not_observable=not_observable,
+            warnings=warnings,
+            table=self.fit.table,
+            convergence=convergence,
+        )
+
+    def _noise_density(self, oscillator: str, scale: float) -> Quantity:
+        """White rate noise of the closed axis: the residual's force noise over the rate's own effect on it."""
+        closed = "y" if oscillator == "x" else "x"
+        model = self.fit.noise.get((closed, "closed", "re"))
+        gain = abs(self.fit.G[_AXIS[closed], _AXIS[closed]])
+        two_sided = model.coefficients[0] if model is not None else math.nan
+        density = math.sqrt(2.0 * two_sided) / (gain * scale)
+        return Quantity(density, 0.1 * density, "rad/s/sqrt(Hz)")
+
+    def _verdicts(self, derived: _Derived, skipped: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        not_observable, warnings = ["angular_gain_kappa: taken from the factory, no self-calibration sees it"], []
+        labels = ("pickoff_ratio", "pickoff_non_orthogonality", "pickoff_phase")
+        remedies = (
+            "inject a known quadrature, record body excitation (equal gaps), or store the factory's drive-gain ratio",
+            "needs cross stiffness and a frequency split along the axes",
+            "record body excitation off resonance",
+        )
+        for label, share, remedy in zip(labels, derived.frame.prior_share, remedies, strict=True):
+            if share > 0.25:
+                not_observable.append(f"{label}: {100 * share:.0f} % of what is known is prior; {remedy}")
+        if not self.fit.has_feedthrough:
+            warnings.append("feedthrough E was not measured and is taken as zero: record open drive off resonance (run_feedthrough)")
+        reduced = self.fit.chi2 / max(self.fit.dof, 1)
+        if reduced > _CHI2_WARN:
+            warnings.append(
+                f"the linear model leaves chi-square/dof {reduced:.1f}: an effect is missing from it; standard deviations are scaled, "
+                "diagnose the gap before trusting them"
+            )
+        if skipped:
+            warnings.append("left out: " + "; ".join(skipped))
+        return tuple(not_observable), tuple(warnings)
+
+
+#: priors that enter the covariance: n, rho, r, eps, drive-gain ratio
+NUISANCES = 5
+
+
+def _line(
+    at_rest: ComplexArray, response: ComplexArray, G: ComplexArray, E: ComplexArray, volts: ComplexArray | None, amplitude: float, axis: str
+) -> tuple[float, float]:
+    """Rate channel [V] at rest and its slope with rate [V/(rad/s)], about zero."""
+    step = 1e-3
+
+    def at(rate: float) -> OperatingPoint:
+        return ftr_operating_point(at_rest + rate * response, G, E, amplitude, axis, volts=volts)
+
+    return at(0.0).rate_channel_v, (at(step).rate_channel_v - at(-step).rate_channel_v) / (2.0 * step)
+
+
+def _main_amplitude(recordings: list[Recording]) -> float:
+    values = [r.command.setpoints.amplitude_v for r in recordings if r.command.oscillator_axis]
+    unmodulated = [r.command.setpoints.amplitude_v for r in recordings if r.command.oscillator_axis and r.command.excitation.kind == "none"]
+    return float(np.median(unmodulated or values))
+
+
+def _held_volts(recordings: list[Recording], axis: str, amplitude: float) -> ComplexArray | None:
+    """Where the device's loops really hold the pick-offs, per volt of oscillator: a PLL or rebalance that sits off zero biases the rate channel."""
+    own = [
+        r.pick.mean(axis=0) / r.command.setpoints.amplitude_v
+        for r in recordings
+        if r.command.oscillator_axis == axis and r.command.setpoints.amplitude_v == amplitude
+    ]
+    return amplitude * np.mean(own, axis=0) if own else None
+
+
+def _convergence(
+    recordings: list[Recording], factory: Mapping[str, Any], kappa: float, priors: Priors, on_progress: Callable[[float], None] | None
+) -> tuple[ConvergencePoint, ...]:
+    """Estimates from the loops-off records and the first k loop records, k growing in time."""
+    open_records = [r for r in recordings if r.command.oscillator_axis is None]
+    loops = sorted((r for r in recordings if r.command.oscillator_axis), key=lambda r: float(r.t[0]))
+    points = []
+    marks = sorted({max(1, round(len(loops) * (k + 1) / _CONVERGENCE_POINTS)) for k in range(_CONVERGENCE_POINTS)})
+    for done, mark in enumerate(marks):
+        try:
+            problem = _Problem(open_records + loops[:mark], factory, kappa, priors)
+            derived, covariance = problem.solve()
+        except CalibrationRefused:
+            continue
+        index = {name: i for i, name in enumerate(derived.names)}
+        sd = np.sqrt(np.diag(covariance))
+        quantities = {
+            kind: {a: Quantity(float(derived.values[index[f"{kind}_{a}"]]), float(sd[index[f"{kind}_{a}"]]), unit) for a in _AXIS}
+            for kind, unit in (("bias", "rad/s"), ("scale", "V/(rad/s)"))
+        }
+        points.append(ConvergencePoint(float(loops[mark - 1].t[-1]), quantities["bias"], quantities["scale"]))
+        if on_progress is not None:
+            on_progress(0.5 + 0.5 * (done + 1) / len(marks))
+    return tuple(points)
+
+
+def _unit(name: str) -> str:
+    if name.startswith("E_") or name in ("pickoff_ratio",):
+        return "1"
+    if name.startswith("G_"):
+        return "1/s"
+    return {"pickoff_phase": "rad", "pickoff_non_orthogonality": "rad", "cross_stiffness": "1/s^2"}.get(name, "1/s")

@@ -1,0 +1,294 @@
+"""Identify the slow flow of a force-rebalance gyro from all recordings at once: A, G, E and the response to body excitation.
+
+All experiments are parts of one linear model (theory.md section 2): side bands and carrier lines of both oscillator axes, open drive off
+resonance (feedthrough) and body excitation (pick-off phase) enter one weighted least squares per axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import CalibrationRefused
+from ..recording.recording import Campaign, Recording
+from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noise
+from .projection import Projected, project
+
+__all__ = ["SlowFlowEstimate", "TableRow", "fit_slow_flow", "usable_recordings"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+#: recordings further than this from the median temperature are left out of the fit [K]
+TEMPERATURE_WINDOW_K = 0.5
+_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One line of the data table: what was applied and measured at a side band, and what the fit leaves.
+
+    Parameters
+    ----------
+    label, axis : str
+        Recording and its oscillator axis (``""`` with loops off).
+    frequency_hz : float
+        Side band (0: the carrier).
+    pick, drive, residual : tuple of 2 complex
+        x, y: projected pick-offs and drives [V sqrt(s)], residual of the slow flow [V/s sqrt(s)].
+    sd : tuple of 2 float
+        Standard deviation of the residual (mean of real and imaginary part).
+    """
+
+    label: str
+    axis: str
+    frequency_hz: float
+    pick: tuple[complex, complex]
+    drive: tuple[complex, complex]
+    residual: tuple[complex, complex]
+    sd: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SlowFlowEstimate:
+    """What the recordings say of the slow flow about ``omega0_rad_s`` at ``temperature_degc``.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+        [1/s], [1/s], dimensionless. ``A`` includes the constant input rate.
+    body : ndarray, shape (2,), complex, or None
+        Response of each pick-off to one volt of body excitation [1/s].
+    covariance : ndarray, shape (n, n)
+        Of the real parameter vector, see :meth:`vector`.
+    has_feedthrough : bool
+        E was measured; otherwise it is taken as zero.
+    omega0_rad_s, temperature_degc, temperature_sd_k : float
+        Operating point.
+    chi2, dof, condition_number : float
+        Fit quality, both axes together.
+    noise : mapping
+        (axis, role, part) -> NoiseModel.
+    table : tuple of TableRow
+        The data table.
+    """
+
+    A: ComplexArray
+    G: ComplexArray
+    E: ComplexArray
+    body: ComplexArray | None
+    covariance: FloatArray
+    has_feedthrough: bool
+    omega0_rad_s: float
+    temperature_degc: float
+    temperature_sd_k: float
+    chi2: float
+    dof: int
+    condition_number: float
+    noise: dict[tuple[str, str, str], NoiseModel]
+    table: tuple[TableRow, ...]
+
+    def vector(self) -> FloatArray:
+        """Real parameters per axis: A_ax, A_ay, G~_ax, G~_ay, (E_ax, E_ay), (H_a), each (re, im); G~ = G - A E."""
+        reduced = self.G - self.A @ self.E
+        parts: list[complex] = []
+        for a in range(2):
+            parts += [*self.A[a], *reduced[a]]
+            if self.has_feedthrough:
+                parts += [*self.E[a]]
+            if self.body is not None:
+                parts.append(self.body[a])
+        return np.array(parts, dtype=complex).view(np.float64)
+
+    def unpack(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray | None]:
+        """A, G, E, body of a real parameter vector."""
+        parts = np.ascontiguousarray(vector).view(np.complex128).reshape(2, -1)
+        A, reduced = parts[:, 0:2], parts[:, 2:4]
+        E = parts[:, 4:6] if self.has_feedthrough else np.zeros((2, 2), dtype=complex)
+        return A, reduced + A @ E, E, (parts[:, -1] if self.body is not None else None)
+
+
+def usable_recordings(campaign: Campaign) -> tuple[list[Recording], list[str]]:
+    """Recordings of the force-rebalance campaign that a fit at one temperature and one constant rate may use, and why others are left out."""
+    wanted = [r for r in campaign if r.command.mode in ("ftr_x", "ftr_y") or _is_open(r)]
+    skipped = []
+    chosen = []
+    median = float(np.median([r.temperature_degc.mean() for r in wanted])) if wanted else math.nan
+    for r in wanted:
+        temperature = r.temperature_degc
+        if "applied_rate" in r.extras:
+            skipped.append(f"{r.label}: a rate was applied")
+        elif abs(temperature.mean() - median) > TEMPERATURE_WINDOW_K or np.ptp(temperature) > 2.0 * TEMPERATURE_WINDOW_K:
+            skipped.append(f"{r.label}: temperature {temperature.min():.2f} to {temperature.max():.2f} degC, median {median:.2f}")
+        elif r.command.excitation.kind not in ("none", "amplitude_modulation", "drive", "body"):
+            skipped.append(f"{r.label}: excitation {r.command.excitation.kind}")
+        else:
+            chosen.append(r)
+    return chosen, skipped
+
+
+def fit_slow_flow(recordings: list[Recording], decay_rate: float) -> SlowFlowEstimate:
+    """Fit A, G, E and the body response.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+        From :func:`usable_recordings`.
+    decay_rate : float
+        Rough 1/tau [1/s] (only the small second-order terms use it).
+
+    Raises
+    ------
+    CalibrationRefused
+        An axis was never the oscillator, or the recordings do not excite what must be found.
+    """
+    for mode in ("ftr_x", "ftr_y"):
+        if not any(r.command.mode == mode for r in recordings):
+            raise CalibrationRefused(
+                f"Recordings must include mode {mode}, but got {', '.join(sorted({r.command.mode for r in recordings})) or 'none'}. "
+                "Both axes must be the oscillator once: record the same side bands with the axes swapped."
+            )
+    loops = [r for r in recordings if r.command.oscillator_axis]
+    omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in loops]))
+    has_feedthrough = any(r.command.excitation.kind == "drive" for r in recordings)
+    has_body = any(r.command.excitation.kind == "body" for r in recordings)
+    signal = [project(r, _lines(r), omega0, decay_rate) for r in recordings]
+    quiet = [project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings]
+    fits: list[LinearFit] = []
+    noise: dict[tuple[str, str, str], NoiseModel] = {}
+    for axis in range(2):
+        columns = [_columns(p, has_feedthrough, has_body) for p in signal]
+        quiet_columns = [_columns(p, has_feedthrough, has_body) for p in quiet]
+        roles = [_role(r, axis) for r in recordings]
+        fit: LinearFit | None = None
+        models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in set(roles) for part in ("re", "im")}
+        for _ in range(_ROUNDS):
+            equations = [
+                Equation(
+                    lhs=p.lhs[:, axis],
+                    regressors=c,
+                    gram=p.gram,
+                    sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
+                    sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
+                    detuning=p.pick[:, axis] if role == "oscillator" else None,
+                )
+                for p, c, role in zip(signal, columns, roles, strict=True)
+            ]
+            fit = fit_axis(equations)
+            models = _measure_noise(quiet, quiet_columns, roles, recordings, axis, fit.coefficients)
+        assert fit is not None
+        fits.append(fit)
+        noise |= {(AXES[axis], role, part): model for (role, part), model in models.items()}
+    return _assemble(recordings, signal, fits, noise, omega0, has_feedthrough, has_body)
+
+
+def _is_open(recording: Recording) -> bool:
+    return recording.command.mode == "loops_off" and recording.command.excitation.kind in ("drive", "body")
+
+
+def _role(recording: Recording, axis: int) -> str:
+    oscillator = recording.command.oscillator_axis
+    if oscillator is None:
+        return "open"
+    return "oscillator" if oscillator == AXES[axis] else "closed"
+
+
+def _lines(recording: Recording) -> list[float]:
+    excitation = recording.command.excitation
+    return [0.0, excitation.frequency_hz] if excitation.kind == "amplitude_modulation" else [0.0]
+
+
+def _quiet_lines(recording: Recording) -> list[float]:
+    """Lines near those of interest where nothing was commanded."""
+    step = 1.0 / recording.duration_s
+    excitation = recording.command.excitation
+    busy = np.arange(1, 6) * excitation.frequency_hz if excitation.kind == "amplitude_modulation" else np.zeros(0)
+    top = min(max(4.0, 4.0 * step), 0.2 * recording.sample_rate_hz)
+    candidates = np.arange(1.8 * step, top, 1.3 * step)
+    free = [f for f in candidates if busy.size == 0 or np.min(np.abs(busy - f)) > 1.7 * step]
+    if len(free) > 24:
+        free = [free[i] for i in np.unique(np.geomspace(1, len(free), 24).astype(int) - 1)]
+    return [float(f) for f in free]
+
+
+def _columns(p: Projected, has_feedthrough: bool, has_body: bool) -> ComplexArray:
+    parts = [p.pick, p.drive]
+    if has_feedthrough:
+        parts.append(p.drive_rate)
+    if has_body:
+        parts.append(p.body[:, None])
+    return np.hstack(parts)
+
+
+def _measure_noise(
+    quiet: list[Projected], columns: list[ComplexArray], roles: list[str], recordings: list[Recording], axis: int, coefficients: ComplexArray
+) -> dict[tuple[str, str], NoiseModel]:
+    models = {}
+    for role in set(roles):
+        members = [i for i, r in enumerate(roles) if r == role]
+        residual = np.concatenate([quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in members])
+        lines = np.concatenate([quiet[i].frequency_hz for i in members])
+        lowest = 0.3 / max(recordings[i].duration_s for i in members)
+        models[role, "re"] = fit_noise(lines, residual.real**2, lowest)
+        models[role, "im"] = fit_noise(lines, residual.imag**2, lowest)
+    return models
+
+
+def _assemble(
+    recordings: list[Recording],
+    signal: list[Projected],
+    fits: list[LinearFit],
+    noise: dict[tuple[str, str, str], NoiseModel],
+    omega0: float,
+    has_feedthrough: bool,
+    has_body: bool,
+) -> SlowFlowEstimate:
+    values = np.array([f.coefficients for f in fits])
+    A, reduced = values[:, 0:2], values[:, 2:4]
+    E = values[:, 4:6] if has_feedthrough else np.zeros((2, 2), dtype=complex)
+    size = fits[0].covariance.shape[0]
+    covariance = np.zeros((2 * size, 2 * size))
+    covariance[:size, :size], covariance[size:, size:] = fits[0].covariance, fits[1].covariance
+    temperatures = np.array([r.temperature_degc.mean() for r in recordings])
+    table = []
+    for i, (r, p) in enumerate(zip(recordings, signal, strict=True)):
+        for f in np.unique(p.frequency_hz):
+            own = p.frequency_hz == f
+            sd = [
+                math.sqrt(0.5 * sum(float(noise[AXES[a], _role(r, a), part].density(np.array([f]))[0]) for part in ("re", "im")))
+                for a in range(2)
+            ]
+            line = [_phasor(q[own]) for q in (p.pick, p.drive)]
+            left = [_phasor(fits[a].residuals[i][own][:, None])[0] for a in range(2)]
+            table.append(
+                TableRow(
+                    r.label, r.command.oscillator_axis or "", float(f), (line[0][0], line[0][1]), (line[1][0], line[1][1]),
+                    (left[0], left[1]), (sd[0], sd[1]),
+                )  # fmt: skip
+            )
+    return SlowFlowEstimate(
+        A=A,
+        G=reduced + A @ E,
+        E=E,
+        body=values[:, -1] if has_body else None,
+        covariance=covariance,
+        has_feedthrough=has_feedthrough,
+        omega0_rad_s=omega0,
+        temperature_degc=float(temperatures.mean()),
+        temperature_sd_k=float(temperatures.std()),
+        chi2=sum(f.chi2 for f in fits),
+        dof=sum(f.dof for f in fits),
+        condition_number=max(f.condition_number for f in fits),
+        noise=noise,
+        table=tuple(table),
+    )
+
+
+def _phasor(projected: ComplexArray) -> list[complex]:
+    """Cosine and sine projections as one complex amplitude of e^{+i nu t}, per channel."""
+    if projected.shape[0] == 1:
+        return [complex(v) for v in projected[0]]
+    return [complex(v) for v in (projected[0] - 1j * projected[1]) / math.sqrt(2.0)]

@@ -1,0 +1,24 @@
+"""Sequences of commands and what they must record, written once against the instrument seam."""
+
+from .instrument import Instrument
+from .plan import Limits, Plan, Step
+from .plans import PLANS, QUALITIES, feedthrough_plan, plan_by_name, self_calibration_plan, sideband_plan, static_plan
+from .runner import Progress, run_plan
+from .simulated import SimulatedInstrument
+
+__all__ = [
+    "PLANS",
+    "QUALITIES",
+    "Instrument",
+    "Limits",
+    "Plan",
+    "Progress",
+    "SimulatedInstrument",
+    "Step",
+    "feedthrough_plan",
+    "plan_by_name",
+    "run_plan",
+    "self_calibration_plan",
+    "sideband_plan",
+    "static_plan",
+]

@@ -1,0 +1,44 @@
+"""The one seam between experiments and a gyro: simulated in process, live over ROS, or replayed from a file."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from ..recording.command import Command
+from ..recording.recording import Recording
+
+__all__ = ["Instrument"]
+
+
+@runtime_checkable
+class Instrument(Protocol):
+    """A gyro that takes commands and gives recordings.
+
+    Attributes
+    ----------
+    device_id : str
+        Identity of the unit; every recording carries it.
+    factory : dict
+        What left the factory with the unit (``angular_gain_kappa``, ``nominal_f0_hz``, ``nominal_q``, ``drive_gain_ratio_x_over_y``,
+        ``nominal_scale_factor_v_per_rad_s`` {x, y}, ``reference_temperature_degC``, full scales).
+    """
+
+    @property
+    def device_id(self) -> str: ...
+
+    @property
+    def factory(self) -> dict[str, object]: ...
+
+    def configure(self, command: Command) -> None:
+        """Put ``command`` in force; returns when the device has taken it."""
+
+    def record(self, duration_s: float, *, settle_s: float = 0.0, label: str = "") -> Recording:
+        """Record ``duration_s`` after ``settle_s`` counted from the last command.
+
+        Raises
+        ------
+        DataError
+            The stream has a gap, a repeat or a NaN.
+        ExperimentAborted
+            The stream stopped, or the run was cancelled.
+        """

@@ -1,0 +1,55 @@
+"""A plan: the steps of a calibration, each a command with its duration; what it needs and when it must stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ..errors import DataError
+from ..recording.command import Command
+
+__all__ = ["Limits", "Plan", "Step"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """Record ``duration_s`` under ``command`` after ``settle_s``; ``label`` names the recording."""
+
+    label: str
+    command: Command
+    duration_s: float
+    settle_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.duration_s > 0 or self.settle_s < 0:
+            raise DataError(f"Step duration_s must be > 0 and settle_s >= 0, but got {self.duration_s!r}, {self.settle_s!r}.")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Abort conditions of a run.
+
+    Parameters
+    ----------
+    temperature_k : float
+        Largest temperature excursion since the start of the run [K].
+    base_rate_rad_s : float
+        Largest change of the raw rate between static stretches, and of its slow part inside one [rad/s].
+    """
+
+    temperature_k: float = 2.0
+    base_rate_rad_s: float = 0.01
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Ordered steps of one method with abort conditions; ``final`` is the command put in force when it ends, however it ends."""
+
+    name: str
+    steps: tuple[Step, ...]
+    limits: Limits = field(default_factory=Limits)
+    final: Command = field(default_factory=Command)
+
+    @property
+    def duration_s(self) -> float:
+        """Device time that the plan takes [s]."""
+        return sum(s.duration_s + s.settle_s for s in self.steps)

@@ -1,0 +1,155 @@
+"""The plans of a force-rebalance gyro: what to command, for how long, in which order, and why.
+
+Times are device time. Qualities differ in duration only: ``quick`` for a first look, ``standard`` for a mission, ``fine`` for a bench.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import DataError
+from ..recording.command import Command, Excitation, Setpoints
+from .plan import Limits, Plan, Step
+
+__all__ = ["PLANS", "QUALITIES", "feedthrough_plan", "plan_by_name", "self_calibration_plan", "sideband_plan", "static_plan"]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Durations and lines of a plan.
+
+    Parameters
+    ----------
+    lines_hz : tuple of float
+        Side bands, equally spaced from 0.1 to 1.5 Hz (document 000).
+    record_s, static_s, open_s : float
+        Duration of a side-band, a static and a loops-off record [s].
+    rounds : int
+        How often the pair of axes is repeated (x y y x …, so that a linear drift cancels).
+    """
+
+    lines_hz: tuple[float, ...]
+    record_s: float
+    static_s: float
+    open_s: float
+    rounds: int
+
+
+QUALITIES: dict[str, Quality] = {
+    "quick": Quality((0.5, 1.5), 10.0, 10.0, 2.0, 1),
+    "standard": Quality((0.1, 0.8, 1.5), 20.0, 30.0, 8.0, 2),
+    "fine": Quality((0.1, 0.45, 0.8, 1.15, 1.5), 40.0, 60.0, 15.0, 4),
+}
+#: modulation index of the side bands (document 000: 2 to 20 %)
+INDEX = 0.15
+#: detuning of the feedthrough and of the body excitation records [Hz]
+FEEDTHROUGH_HZ = (-60.0, -20.0, 20.0, 60.0)
+BODY_HZ = (-40.0, 40.0)
+#: the loops need this long after a command; the first is a change of the oscillator axis [s]
+SWAP_SETTLE_S, SETTLE_S, OPEN_SETTLE_S = 3.0, 1.0, 2.0
+
+
+def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+    """Build a plan.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`PLANS`.
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+    limits : Limits, optional
+        Abort conditions.
+
+    Raises
+    ------
+    DataError
+        Unknown plan or quality, or factory data that lack what the plan needs.
+    """
+    if name not in PLANS:
+        raise DataError(f"Plan must be one of {', '.join(PLANS)}, but got {name!r}.")
+    return PLANS[name](factory, quality=quality, limits=limits)
+
+
+def sideband_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+    """Side bands and static stretches on both oscillator axes (document 000, steps 4 and 5)."""
+    return Plan("sideband", tuple(_loop_steps(_quality(quality), _amplitude(factory))), limits or Limits(), _mission(factory))
+
+
+def feedthrough_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+    """Loops off: open drive and body excitation off resonance (document 000, steps 2 and 3)."""
+    return Plan("feedthrough", tuple(_open_steps(_quality(quality), factory)), limits or Limits(), _mission(factory))
+
+
+def static_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+    """A static stretch on each oscillator axis."""
+    q, amplitude = _quality(quality), _amplitude(factory)
+    steps = tuple(Step(f"static_{a}", Command(f"ftr_{a}", setpoints=Setpoints(amplitude)), 4.0 * q.static_s, SWAP_SETTLE_S) for a in "xy")
+    return Plan("static", steps, limits or Limits(), _mission(factory))
+
+
+def self_calibration_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+    """Everything a force-rebalance gyro needs: feedthrough, pick-off phase, side bands on both axes."""
+    q = _quality(quality)
+    return Plan(
+        "self_calibrate",
+        (*_open_steps(q, factory), *_loop_steps(q, _amplitude(factory))),
+        limits or Limits(),
+        _mission(factory),
+    )
+
+
+PLANS: dict[str, Callable[..., Plan]] = {
+    "sideband": sideband_plan,
+    "feedthrough": feedthrough_plan,
+    "static": static_plan,
+    "self_calibrate": self_calibration_plan,
+}
+
+
+def _quality(name: str) -> Quality:
+    if name not in QUALITIES:
+        raise DataError(f"Plan quality must be one of {', '.join(QUALITIES)}, but got {name!r}.")
+    return QUALITIES[name]
+
+
+def _amplitude(factory: Mapping[str, Any]) -> float:
+    return float(factory.get("nominal_amplitude_v", 1.0))
+
+
+def _mission(factory: Mapping[str, Any]) -> Command:
+    return Command("ftr_x", setpoints=Setpoints(_amplitude(factory)))
+
+
+def _loop_steps(q: Quality, amplitude: float) -> list[Step]:
+    steps: list[Step] = []
+    axes = [a for turn in range(q.rounds) for a in ("xy" if turn % 2 == 0 else "yx")]
+    previous = ""
+    for count, axis in enumerate(axes):
+        base = Command(f"ftr_{axis}", setpoints=Setpoints(amplitude))
+        turn = count // 2
+        steps.append(Step(f"static_{axis}_{turn}", base, q.static_s, SETTLE_S if axis == previous else SWAP_SETTLE_S))
+        for line in q.lines_hz:
+            command = Command(f"ftr_{axis}", Excitation("amplitude_modulation", line, INDEX), Setpoints(amplitude))
+            steps.append(Step(f"side_{axis}_{line:g}hz_{turn}", command, q.record_s, SETTLE_S))
+        previous = axis
+    return steps
+
+
+def _open_steps(q: Quality, factory: Mapping[str, Any]) -> list[Step]:
+    if "nominal_f0_hz" not in factory:
+        raise DataError(f"Factory data must hold nominal_f0_hz for off-resonance records, but got {sorted(factory)}.")
+    f0 = float(factory["nominal_f0_hz"])
+    volts = 0.4 * float(factory.get("dac_full_scale_V", 5.0))
+    steps = []
+    for df in FEEDTHROUGH_HZ:
+        for axis in "xy":
+            command = Command("loops_off", Excitation("drive", f0 + df, 0.0, volts, axis))
+            steps.append(Step(f"feed_{axis}_{df:+g}hz", command, q.open_s, OPEN_SETTLE_S))
+    for df in BODY_HZ:
+        command = Command("loops_off", Excitation("body", f0 + df, 0.0, 2.0 * volts, "both"))
+        steps.append(Step(f"body_{df:+g}hz", command, 2.0 * q.open_s, OPEN_SETTLE_S))
+    return steps

@@ -1,0 +1,138 @@
+"""Run a plan on an instrument: progress, abort conditions, cancellation, and the gyro back in its mission whatever happens."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ExperimentAborted, GyroCalibError
+from ..recording.rate import raw_rate
+from ..recording.recording import Campaign, Recording
+from .instrument import Instrument
+from .plan import Plan, Step
+
+__all__ = ["Progress", "run_plan"]
+
+#: base motion is looked for in means over this time [s]
+_MOTION_WINDOW_S = 0.5
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands: fraction of device time done (0-1), wall seconds left (NaN until known), the step under way."""
+
+    fraction: float
+    eta_s: float
+    step_label: str
+    step_index: int
+    steps: int
+
+
+def run_plan(
+    instrument: Instrument,
+    plan: Plan,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> Campaign:
+    """Carry out every step and return the campaign.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The gyro.
+    plan : Plan
+        What to do.
+    on_progress : callable, optional
+        Called before each step and at the end.
+    cancelled : callable, optional
+        Asked before each step; True ends the run.
+
+    Raises
+    ------
+    ExperimentAborted
+        Cancelled, temperature or base moved beyond the plan's limits, or the instrument gave up.
+    DataError
+        A recording is not usable.
+    """
+    started = time.monotonic()
+    watch = _Watch(plan, dict(instrument.factory))
+    recordings: list[Recording] = []
+    done_s = 0.0
+    try:
+        for index, step in enumerate(plan.steps):
+            if cancelled is not None and cancelled():
+                raise ExperimentAborted(f"Run was cancelled before step {index + 1} of {len(plan.steps)} ({step.label}).")
+            if on_progress is not None:
+                fraction = done_s / plan.duration_s
+                eta = (time.monotonic() - started) * (1.0 - fraction) / fraction if fraction > 0 else float("nan")
+                on_progress(Progress(fraction, eta, step.label, index, len(plan.steps)))
+            instrument.configure(step.command)
+            recording = instrument.record(step.duration_s, settle_s=step.settle_s, label=step.label)
+            watch.check(step, recording)
+            recordings.append(recording)
+            done_s += step.duration_s + step.settle_s
+    except BaseException:
+        _return_to_mission(instrument, plan)
+        raise
+    instrument.configure(plan.final)
+    if on_progress is not None:
+        on_progress(Progress(1.0, 0.0, "", len(plan.steps), len(plan.steps)))
+    return Campaign(instrument.device_id, tuple(recordings), dict(instrument.factory))
+
+
+def _return_to_mission(instrument: Instrument, plan: Plan) -> None:
+    try:
+        instrument.configure(plan.final)
+    except GyroCalibError:
+        # the gyro is out of reach: the first error tells the user why, this one would hide it
+        return
+
+
+class _Watch:
+    """Abort conditions, checked on every recording."""
+
+    def __init__(self, plan: Plan, factory: dict[str, object]) -> None:
+        self._limits = plan.limits
+        self._factory = factory
+        self._temperature: float | None = None
+        self._rates: dict[str, float] = {}
+
+    def check(self, step: Step, recording: Recording) -> None:
+        self._check_temperature(step, recording)
+        if "nominal_scale_factor_v_per_rad_s" in self._factory:
+            self._check_base(step, recording)
+
+    def _check_temperature(self, step: Step, recording: Recording) -> None:
+        temperature = recording.temperature_degc
+        if self._temperature is None:
+            self._temperature = float(temperature[0])
+        excursion = float(np.max(np.abs(temperature - self._temperature)))
+        if excursion > self._limits.temperature_k:
+            raise ExperimentAborted(
+                f"Temperature must stay within {self._limits.temperature_k:g} K of its start ({self._temperature:.2f} degC), but moved "
+                f"{excursion:.2f} K in step {step.label}. Let the gyro settle, or raise temperature_limit_k."
+            )
+
+    def _check_base(self, step: Step, recording: Recording) -> None:
+        rate = raw_rate(recording.data, step.command, self._factory)
+        width = max(1, round(_MOTION_WINDOW_S * recording.sample_rate_hz))
+        if np.isnan(rate).any() or rate.size < 2 * width:
+            return
+        means = rate[: rate.size // width * width].reshape(-1, width).mean(axis=1)
+        if step.command.excitation.kind == "none":
+            spread = float(np.max(np.abs(means - np.median(means))))
+            middle = float(np.median(means))
+            before = self._rates.setdefault(step.command.mode, middle)
+            worst = max(spread, abs(middle - before))
+        else:
+            # the modulation itself moves the rate channel: only a motion that the modulation cannot make is held against the base
+            worst = float(np.max(np.abs(means - np.median(means)))) - abs(float(np.median(means))) * 2.0 * step.command.excitation.index
+        if worst > self._limits.base_rate_rad_s:
+            raise ExperimentAborted(
+                f"Base must stay within {np.degrees(self._limits.base_rate_rad_s):.3g} deg/s of rest, but moved {np.degrees(worst):.3g} deg/s in step "
+                f"{step.label}. Hold the gyro still and run again, or raise base_rate_limit_rad_s."
+            )

@@ -1,0 +1,180 @@
+"""The carrier kernel: every converter sample of the two modes, drives, pick-offs and loops, recorded rows out.
+
+Linear motion is exact (:mod:`.propagator`); nonlinear forces and noise are kicks between exact steps (Strang splitting, symmetric, so they add
+no numerical damping). Demodulation is by the phase reference at each sample, filtered by the boxcar cascade of :mod:`.filters`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..device.averaging import instant_force
+from .control import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, control_step
+from ..jit import kernel
+from .propagator import exact_propagator
+
+__all__ = ["FLAG_CONVERTERS", "FLAG_NONLINEAR", "FLAG_PICKOFF_CUBIC", "carrier_rows", "emit_row"]
+
+FLAG_NONLINEAR, FLAG_CONVERTERS, FLAG_PICKOFF_CUBIC = 1, 2, 4
+
+
+@kernel
+def _converter(value, full_scale, lsb):  # type: ignore[no-untyped-def]
+    """Quantise to ``lsb`` (0: ideal) and clip at the full scale."""
+    if lsb > 0.0:
+        value = lsb * math.floor(value / lsb + 0.5)
+    return min(max(value, -full_scale), full_scale)
+
+
+@kernel
+def emit_row(row_acc, sums, weights, place, last, out):  # type: ignore[no-untyped-def]
+    """Add one control step to the row filter; on the last step of a row write it to ``out`` and shift the accumulators."""
+    for q in range(9):
+        value = sums[q]
+        row_acc[0, q] += weights[0, place] * value
+        row_acc[1, q] += weights[1, place] * value
+        row_acc[2, q] += weights[2, place] * value
+    if last:
+        for q in range(9):
+            out[q] = row_acc[0, q]
+            row_acc[0, q] = row_acc[1, q]
+            row_acc[1, q] = row_acc[2, q]
+            row_acc[2, q] = 0.0
+
+
+@kernel
+def carrier_rows(  # type: ignore[no-untyped-def]
+    z, loop, param, adc_acc, held, row_acc, adc_w, row_w, physics, drive, pick, feed, body, nonlinear, converters, const, flags, noise, out
+):
+    """Simulate ``out.shape[0]`` rows, in place.
+
+    Parameters
+    ----------
+    z : ndarray, shape (4,)
+        Motion (x, y, x'/w, y'/w) [m].
+    loop, param : ndarray
+        State and parameters of :func:`.control.control_step`.
+    adc_acc : ndarray, shape (3, 4)
+        Accumulators of the demodulated pick-offs.
+    held : ndarray, shape (3, 5)
+        Drive envelopes (x_c, x_s, y_c, y_s) and reference frequency of the last three control periods, newest first.
+    row_acc : ndarray, shape (3, 9)
+        Accumulators of the rows.
+    adc_w, row_w : ndarray, shape (3, samples) and (3, controls)
+        Polyphase weights.
+    physics : ndarray, shape (rows, 7)
+        k11, k12, k22 [1/s^2], c11, c12, c21, c22 [1/s] (damping plus Coriolis) of each row.
+    drive, pick, feed : ndarray, shape (rows or 1, 8)
+        B [m/s^2/V], P [V/m], E: re, im of xx, xy, yx, yy. Drive and pick per row.
+    body : float
+        Force per mass and volt of the body excitation [m/s^2/V].
+    nonlinear : ndarray, shape (6,)
+        See :class:`gyro_calib.device.Nonlinearity`.
+    converters : ndarray, shape (5,)
+        ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2].
+    const : ndarray, shape (4,)
+        Sample time [s], nominal w [rad/s], force-noise velocity kick [m/s per sample, divided by w], pick-off noise [V per sample].
+    flags : int
+        Which of the rarer branches are on.
+    noise : ndarray, shape (samples, 4), float32
+        Standard normals: force x, y, pick-off x, y.
+    out : ndarray, shape (rows, 9)
+        x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s].
+    """
+    rows = out.shape[0]
+    samples = adc_w.shape[1]
+    controls = row_w.shape[1]
+    dt, w, kick, pick_noise = const[0], const[1], const[2], const[3]
+    phi = np.zeros((4, 4))
+    gamma = np.zeros((4, 2))
+    sums = np.zeros(9)
+    shares = adc_w.sum(axis=1)
+    n = 0
+    x, y, vx, vy = z[0], z[1], z[2], z[3]
+    phase = loop[S_PHASE]
+    for row in range(rows):
+        p = physics[row]
+        exact_propagator(p[0], p[1], p[2], p[3], p[4], p[5], p[6], w, dt, phi, gamma)
+        f00, f01, f02, f03 = phi[0, 0], phi[0, 1], phi[0, 2], phi[0, 3]
+        f10, f11, f12, f13 = phi[1, 0], phi[1, 1], phi[1, 2], phi[1, 3]
+        f20, f21, f22, f23 = phi[2, 0], phi[2, 1], phi[2, 2], phi[2, 3]
+        f30, f31, f32, f33 = phi[3, 0], phi[3, 1], phi[3, 2], phi[3, 3]
+        g00, g01, g10, g11 = gamma[0, 0], gamma[0, 1], gamma[1, 0], gamma[1, 1]
+        g20, g21, g30, g31 = gamma[2, 0], gamma[2, 1], gamma[3, 0], gamma[3, 1]
+        b, pk = drive[row], pick[row]
+        for step in range(controls):
+            omega = loop[S_OMEGA]
+            uxc, uxs, uyc, uys = loop[S_DRIVE], loop[S_DRIVE + 1], loop[S_DRIVE + 2], loop[S_DRIVE + 3]
+            # firmware advances the drive by half a hold, so the hold's delay does not turn the force
+            half = 0.5 * omega * dt
+            ca, sa = math.cos(half), math.sin(half)
+            axr, axi = uxc * ca - uxs * sa, uxc * sa + uxs * ca
+            ayr, ayi = uyc * ca - uys * sa, uyc * sa + uys * ca
+            fxr = b[0] * axr - b[1] * axi + b[2] * ayr - b[3] * ayi + body * loop[S_BODY] * ca
+            fxi = b[0] * axi + b[1] * axr + b[2] * ayi + b[3] * ayr + body * loop[S_BODY] * sa
+            fyr = b[4] * axr - b[5] * axi + b[6] * ayr - b[7] * ayi + body * loop[S_BODY] * ca
+            fyi = b[4] * axi + b[5] * axr + b[6] * ayi + b[7] * ayr + body * loop[S_BODY] * sa
+            exr = feed[0] * uxc - feed[1] * uxs + feed[2] * uyc - feed[3] * uys
+            exi = feed[0] * uxs + feed[1] * uxc + feed[2] * uys + feed[3] * uyc
+            eyr = feed[4] * uxc - feed[5] * uxs + feed[6] * uyc - feed[7] * uys
+            eyi = feed[4] * uxs + feed[5] * uxc + feed[6] * uys + feed[7] * uyc
+            turn_c, turn_s = math.cos(omega * dt), math.sin(omega * dt)
+            c, s = math.cos(phase), math.sin(phase)
+            for j in range(samples):
+                # Re[P Z e^{i phi}] with Im[Z e^{i phi}] = -velocity / w
+                voltx = pk[0] * x + pk[1] * vx + pk[2] * y + pk[3] * vy + exr * c - exi * s + pick_noise * noise[n, 2]
+                volty = pk[4] * x + pk[5] * vx + pk[6] * y + pk[7] * vy + eyr * c - eyi * s + pick_noise * noise[n, 3]
+                if flags & FLAG_PICKOFF_CUBIC:
+                    voltx += converters[4] * voltx * voltx * voltx
+                    volty += converters[4] * volty * volty * volty
+                if flags & FLAG_CONVERTERS:
+                    voltx = _converter(voltx, converters[0], converters[1])
+                    volty = _converter(volty, converters[0], converters[1])
+                xc, xs, yc, ys = 2.0 * voltx * c, -2.0 * voltx * s, 2.0 * volty * c, -2.0 * volty * s
+                w0, w1, w2 = adc_w[0, j], adc_w[1, j], adc_w[2, j]
+                adc_acc[0, 0] += w0 * xc
+                adc_acc[0, 1] += w0 * xs
+                adc_acc[0, 2] += w0 * yc
+                adc_acc[0, 3] += w0 * ys
+                adc_acc[1, 0] += w1 * xc
+                adc_acc[1, 1] += w1 * xs
+                adc_acc[1, 2] += w1 * yc
+                adc_acc[1, 3] += w1 * ys
+                adc_acc[2, 0] += w2 * xc
+                adc_acc[2, 1] += w2 * xs
+                adc_acc[2, 2] += w2 * yc
+                adc_acc[2, 3] += w2 * ys
+                forcex, forcey = fxr * c - fxi * s, fyr * c - fyi * s
+                if flags & FLAG_NONLINEAR:
+                    kx, ky = instant_force(x, y, vx * w, vy * w, nonlinear)
+                    vx -= 0.5 * dt * kx / w
+                    vy -= 0.5 * dt * ky / w
+                x1 = f00 * x + f01 * y + f02 * vx + f03 * vy + g00 * forcex + g01 * forcey
+                y1 = f10 * x + f11 * y + f12 * vx + f13 * vy + g10 * forcex + g11 * forcey
+                vx1 = f20 * x + f21 * y + f22 * vx + f23 * vy + g20 * forcex + g21 * forcey + kick * noise[n, 0]
+                vy1 = f30 * x + f31 * y + f32 * vx + f33 * vy + g30 * forcex + g31 * forcey + kick * noise[n, 1]
+                x, y, vx, vy = x1, y1, vx1, vy1
+                if flags & FLAG_NONLINEAR:
+                    kx, ky = instant_force(x, y, vx * w, vy * w, nonlinear)
+                    vx -= 0.5 * dt * kx / w
+                    vy -= 0.5 * dt * ky / w
+                c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
+                n += 1
+            phase = (phase + omega * dt * samples) % (2.0 * math.pi)
+            for q in range(5):
+                held[2, q] = held[1, q]
+                held[1, q] = held[0, q]
+            held[0, 0], held[0, 1], held[0, 2], held[0, 3], held[0, 4] = uxc, uxs, uyc, uys, omega
+            for q in range(4):
+                sums[q] = adc_acc[0, q]
+                adc_acc[0, q] = adc_acc[1, q]
+                adc_acc[1, q] = adc_acc[2, q]
+                adc_acc[2, q] = 0.0
+                sums[4 + q] = shares[0] * held[0, q] + shares[1] * held[1, q] + shares[2] * held[2, q]
+            sums[8] = shares[0] * held[0, 4] + shares[1] * held[1, 4] + shares[2] * held[2, 4]
+            emit_row(row_acc, sums, row_w, step, step == controls - 1, out[row])
+            control_step(loop, param, sums[0], sums[1], sums[2], sums[3])
+    z[0], z[1], z[2], z[3] = x, y, vx, vy
+    loop[S_PHASE] = phase
