@@ -34,6 +34,8 @@ class Quantity:
     unit: str
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "value", float(self.value))
+        object.__setattr__(self, "sd", float(self.sd))
         if math.isnan(self.sd) or self.sd < 0.0:
             raise ValueError(f"Argument sd must be >= 0, but got {self.sd!r}.")
 

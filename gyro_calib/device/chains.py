@@ -57,7 +57,7 @@ class DriveChain:
         ex, ey = cmath.exp(1j * self.phase_x_rad), cmath.exp(1j * self.phase_y_rad)
         cxy, cyx = cmath.exp(1j * self.coupling_phase_xy_rad), cmath.exp(1j * self.coupling_phase_yx_rad)
         shape = np.array([[ex, (delta - lam) * ey * cxy], [(delta + lam) * ex * cyx, (1.0 + self.gain_mismatch) * ey]])
-        return self.gain_m_s2_per_v * (1.0 + self.gain_tempco_per_k * temperature_rise_k) * shape
+        return np.asarray(self.gain_m_s2_per_v * (1.0 + self.gain_tempco_per_k * temperature_rise_k) * shape, dtype=complex)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class PickoffChain:
 
 @dataclass(frozen=True)
 class Feedthrough:
-    """Direct coupling of drive into pick-off, ``V = P z + E v``: E complex, dimensionless, per element real (re) and 90-degree (im) part."""
+    """Direct coupling of drive into pick-off, ``V = P z + E v``: E complex, dimensionless, each element real (re) and 90-degree (im)."""
 
     xx_re: float = 0.0
     xx_im: float = 0.0

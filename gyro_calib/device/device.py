@@ -107,9 +107,7 @@ class Device:
         """Temperature above the resonator's reference [K]."""
         return temperature_degc - self.resonator.reference_temperature_degc
 
-    def slow_flow(
-        self, rate_rad_s: float = 0.0, temperature_degc: float | None = None, omega_rad_s: float | None = None
-    ) -> SlowFlow:
+    def slow_flow(self, rate_rad_s: float = 0.0, temperature_degc: float | None = None, omega_rad_s: float | None = None) -> SlowFlow:
         """A, G, E of theory.md Eq. 4 at an input rate and temperature, about ``omega_rad_s`` (default: the natural frequency).
 
         With the actual reference frequency the steady state is exact; elsewhere it is the first order of averaging.
@@ -126,7 +124,11 @@ class Device:
         hold = np.sinc(omega / (2.0 * math.pi) / self.electronics.adc_rate_hz)
         gain = -0.5j / omega * hold * pick @ self.drive.matrix(rise)
         return SlowFlow(
-            A=pick @ inner @ inverse + rate_rad_s * coriolis, G=gain, E=self.feedthrough.matrix(), omega0_rad_s=omega, dA_dOmega=coriolis
+            A=np.asarray(pick @ inner @ inverse + rate_rad_s * coriolis, dtype=complex),
+            G=gain,
+            E=self.feedthrough.matrix(),
+            omega0_rad_s=omega,
+            dA_dOmega=coriolis,
         )
 
     def factory(self) -> dict[str, Any]:

@@ -33,7 +33,7 @@ class Spread:
     phase_rad: float = 3e-3
     coupling_phase_rad: float = 0.1
     feedthrough: float = 4e-4
-    drive_gain_ratio: float = 5e-6
+    drive_gain_ratio: float = 15e-6
 
 
 def draw_unit(design: Device, seed: int, spread: Spread | None = None) -> Device:

@@ -112,4 +112,4 @@ class Environment:
         require_non_negative(self, "wander_k")
         require_positive(self, "wander_time_s")
         if not -273.15 < self.temperature_degc < 1000.0:
-            raise DeviceError(f"Environment temperature_degc must be above absolute zero and below 1000, but got {self.temperature_degc!r}.")
+            raise DeviceError(f"Environment temperature_degc must be within -273.15 and 1000, but got {self.temperature_degc!r}.")

@@ -50,7 +50,7 @@ def load_device(source: str | Path) -> Device:
     """
     path = Path(source)
     if not path.is_file():
-        packaged = share_path("config", "devices", f"{Path(source).name.removesuffix('.yaml')}.yaml")
+        packaged = share_path("config", "devices") / f"{Path(source).name.removesuffix('.yaml')}.yaml"
         if path.parent != Path(".") or not packaged.is_file():
             known = sorted(p.stem for p in packaged.parent.glob("*.yaml"))
             raise DeviceError(f"Device must be a YAML file or one of {', '.join(known)}, but got {str(source)!r}.")
@@ -85,9 +85,7 @@ def device_from_dict(document: Any) -> Device:
         raise DeviceError(f"Device document must have known keys, but got unknown {unknown} and missing {missing}.")
     if document.get("schema", SCHEMA) != SCHEMA:
         raise DeviceError(f"Device schema must be {SCHEMA}, but got {document['schema']!r}.")
-    parts = {
-        "factory_data" if key == "factory" else key: _build(_PARTS[key], key, document[key]) for key in _PARTS if key in document
-    }
+    parts = {"factory_data" if key == "factory" else key: _build(_PARTS[key], key, document[key]) for key in _PARTS if key in document}
     return Device(device_id=str(document["device_id"]), **parts)
 
 

@@ -74,8 +74,8 @@ def ftr_operating_point(
         volts = np.zeros(2, dtype=complex)
         volts[osc] = amplitude_v
     delta = float(A[osc, osc].imag)
-    pick = np.array(volts)
-    drive = np.zeros(2, dtype=complex)
+    pick: ComplexArray = np.array(volts, dtype=np.complex128)
+    drive: ComplexArray = np.zeros(2, dtype=complex)
     eye = np.eye(2)
     for _ in range(60):
         dynamics = A - 1j * delta * eye
@@ -85,7 +85,7 @@ def ftr_operating_point(
         slope = np.linalg.solve(effective, 1j * (volts - E @ drive))
         step = -drive[osc].real / slope[osc].real
         delta += step
-        pick = volts - E @ drive
+        pick = np.asarray(volts - E @ drive, dtype=np.complex128)
         if abs(step) < 1e-12 * max(1.0, abs(delta)):
             break
     else:

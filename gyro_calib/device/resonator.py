@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import DeviceError
 from .checks import require_finite, require_positive
 
-__all__ = ["BOLTZMANN_J_PER_K", "J", "ZERO_CELSIUS_K", "Nonlinearity", "Resonator", "azimuth_matrix"]
+__all__ = ["BOLTZMANN_J_PER_K", "ZERO_CELSIUS_K", "J", "Nonlinearity", "Resonator", "azimuth_matrix"]
 
 FloatArray = NDArray[np.float64]
 
@@ -114,9 +114,7 @@ class Resonator:
         require_finite(self)
         require_positive(self, "frequency_hz", "quality_factor", "angular_gain", "modal_mass_kg")
         if abs(self.damping_anisotropy) >= 2.0:
-            raise DeviceError(
-                f"Resonator damping_anisotropy must be below 2 (both modes damped), but got {self.damping_anisotropy!r}."
-            )
+            raise DeviceError(f"Resonator damping_anisotropy must be below 2 (both modes damped), but got {self.damping_anisotropy!r}.")
 
     @property
     def omega0_rad_s(self) -> float:

@@ -44,8 +44,7 @@ def calibrate(
         if not fitting:
             known = "; ".join(name + ": " + ", ".join(needed) for name, (needed, _) in METHODS.items())
             raise CalibrationRefused(
-                f"Campaign must hold the modes of one method ({known}), "
-                f"but got {', '.join(sorted(modes)) or 'no recordings'}."
+                f"Campaign must hold the modes of one method ({known}), but got {', '.join(sorted(modes)) or 'no recordings'}."
             )
         method = fitting[0]
     if method not in METHODS:

@@ -1,13 +1,15 @@
 """Project a recording on test functions: the slow flow as exact linear equations, without differentiating data.
 
-Multiply the slow flow by ``phi(t) = w(t) cos(nu t)`` or ``w(t) sin(nu t)`` with a window ``w`` that vanishes smoothly at both ends, integrate by
-parts, and every derivative falls on ``phi``: no end-point terms, no leakage error (both sides of the equation see the same linear functional,
-whatever else the signals hold), and a free decay or a slow drift inside the record does no harm. This replaces the Fourier window over whole
-periods of document 000 (step "data table"), whose end-point term must use the true ends (theory.md section 2).
+Multiply the slow flow by ``phi(t) = w(t) cos(nu t)`` or ``w(t) sin(nu t)`` with a window ``w`` that vanishes smoothly at both
+ends, integrate by parts, and every derivative falls on ``phi``: no end-point terms, no leakage error (both sides of the equation see
+the same linear functional, whatever else the signals hold), and a free decay or a slow drift inside the record does no harm. This
+replaces the Fourier window over whole periods of document 000 (step "data table"), whose end-point term must use the true ends
+(theory.md section 2).
 
 Exact envelope equation, normalised by ``2 i omega0`` (from theory.md Eq. 1 with x = Re[X e^{i phi}], no averaging):
 
-    (omega/omega0) p' + (p'' + i omega' p + C p')/(2 i omega0) + i (omega^2 - omega0^2)/(2 omega0) p = A p + G u,   V = p + E u,
+    (omega/omega0) p' + (p'' + i omega' p + C p')/(2 i omega0)
+        + [i (omega^2 - omega0^2)/(2 omega0) + C (omega - omega0)/(2 omega0)] p = A p + G u,   V = p + E u,
 
 so with ``G~ = G - A E`` everything is linear in (A, G~, E): ``L[V] = A V + G~ u + E L[u]``.
 """
@@ -145,7 +147,7 @@ def project(recording: Recording, frequencies_hz: list[float], omega0_rad_s: flo
     def rate(signal: ComplexArray) -> ComplexArray:
         # L: by parts, phi p' -> -phi' p, phi p'' -> phi'' p, phi omega' p -> -phi' (omega - omega0) p
         first = -(f.first @ ((stretch + slow) * signal)) + (f.second - 2.0 * decay_rate * f.first) @ signal / (2j * omega0_rad_s)
-        return row_s * (first + 1j * (f.value @ (detuning * signal)))
+        return row_s * (first + f.value @ ((1j * detuning + 2.0 * decay_rate * slow) * signal))
 
     body = recording.command.excitation.volts if recording.command.excitation.kind == "body" else 0.0
     return Projected(

@@ -1,15 +1,15 @@
 """Separate the input rate from the cross damping: the pick-off frame, reciprocity, and what they cannot tell (theory.md Eq. 5, made exact).
 
-With ``P = g diag(1, e^{i eps}) [[1, n - rho], [n + rho, r]]`` let ``M = P P^T`` without phases, ``M = [[m1, h], [h, m2]]``. D and K are symmetric, so
-with ``A~ = A`` freed of eps (A~_yx = A_yx e^{-i eps}, A~_xy = A_xy e^{+i eps}):
+With ``P = g diag(1, e^{i eps}) [[1, n - rho], [n + rho, r]]`` let ``M = P P^T`` without phases, ``M = [[m1, h], [h, m2]]``. D and K are
+symmetric, so with ``A~ = A`` freed of eps (A~_yx = A_yx e^{-i eps}, A~_xy = A_xy e^{+i eps}):
 
-* ``Im(A~) M`` is symmetric:            K_yx m1 + K_yy h = K_xx h + K_xy m2        (Eq. 5's r^2 = K_yx/K_xy is the case h = 0);
-* ``Re(A~) M`` has antisymmetric part    -kappa Omega sqrt(det M) J                (Eq. 5's kappa Omega is the case h = 0).
+* ``Im(A~) M`` is symmetric: K_yx m1 + K_yy h = K_xx h + K_xy m2 (Eq. 5's r^2 = K_yx/K_xy is the case h = 0);
+* ``Re(A~) M`` has the antisymmetric part -kappa Omega sqrt(det M) J (Eq. 5's kappa Omega is the case h = 0).
 
-theory.md takes the pick-offs as orthogonal. Where the frequency split has a part along the axes (K_xx != K_yy), a non-orthogonality n of 1e-3 shifts
-Eq. 5's r by n (K_xx - K_yy)/K_xy, thousands of ppm, so h is an unknown here. Four sources give (r, h, eps): reciprocity of the
-stiffness, the body excitation (eps; |r| up to twice the rotation rho), the factory's drive-gain ratio with |G_yy/G_xx| (document 003's premise:
-constant while each gain drifts), and priors on n and rho.
+theory.md takes the pick-offs as orthogonal. Where the frequency split has a part along the axes (K_xx != K_yy), a non-orthogonality n
+of 1e-3 shifts Eq. 5's r by n (K_xx - K_yy)/K_xy, thousands of ppm, so h is an unknown here. Four sources give (r, h, eps): reciprocity
+of the stiffness, the body excitation (eps; |r| up to twice the rotation rho), the factory's drive-gain ratio with |G_yy/G_xx|
+(document 003's premise: constant while each gain drifts), and priors on n and rho.
 """
 
 from __future__ import annotations
@@ -97,7 +97,11 @@ def angular_response(frame: PickoffFrame, kappa: float) -> ComplexArray:
 
 
 def solve_pickoff_frame(
-    estimate: SlowFlowEstimate, vector: FloatArray, deviations: Deviations, drive_ratio_x_over_y: float | None, priors: Priors,
+    estimate: SlowFlowEstimate,
+    vector: FloatArray,
+    deviations: Deviations,
+    drive_ratio_x_over_y: float | None,
+    priors: Priors,
     nuisance: FloatArray,
 ) -> PickoffFrame:
     """Combine the sources for (r, h, eps) at one value of the parameter vector.
@@ -119,8 +123,8 @@ def solve_pickoff_frame(
     """
     A, G, _, body = estimate.unpack(vector)
     start = np.array([1.0, 0.0, 0.0, 0.0])
-    if body is not None:
-        start[2] = float(np.angle(body[1] / body[0]))
+    if body.size:
+        start[2] = float(np.angle(np.sum(body[1] * body[0].conj())))
 
     def residual(q: FloatArray) -> FloatArray:
         r, h, eps, rho = q
@@ -133,13 +137,15 @@ def solve_pickoff_frame(
             (r - 1.0) / priors.mismatch - nuisance[2],
             eps / priors.phase_rad - nuisance[3],
         ]
-        if body is not None:
-            ratio = body[1] / body[0] * np.exp(-1j * eps)
-            n = 0.5 * h
-            rows += [(ratio.real - (r + n + rho) / (1.0 + n - rho)) / deviations.body, ratio.imag / deviations.body]
+        n = 0.5 * h
+        for k in range(body.shape[1]):
+            ratio = body[1, k] / body[0, k] * np.exp(-1j * eps)
+            rows += [(ratio.real - (r + n + rho) / (1.0 + n - rho)) / deviations.body[k], ratio.imag / deviations.body[k]]
         if drive_ratio_x_over_y is not None:
             shifted = drive_ratio_x_over_y * (1.0 + nuisance[4] * priors.drive_ratio)
-            rows.append((abs(G[1, 1] / G[0, 0]) * shifted / r - 1.0) / deviations.gain_ratio)
+            # B is proportional to P^-1 G: its diagonal, couplings and non-orthogonality taken out
+            drive = np.linalg.solve(np.array([[1.0, n - rho], [n + rho, r]]), G * np.array([[1.0], [np.exp(-1j * eps)]]))
+            rows.append((abs(drive[1, 1] / drive[0, 0]) * shifted - 1.0) / deviations.gain_ratio)
         return np.array(rows)
 
     solution = least_squares(residual, start, x_scale=[1e-2, 1e-3, 1e-3, 1e-3], xtol=1e-15, ftol=1e-15, gtol=1e-15, method="lm")
@@ -159,14 +165,14 @@ class Deviations:
     ----------
     reciprocity : float
         Of the stiffness condition [1/s].
-    body : float
-        Of the body ratio, relative.
+    body : tuple of float
+        Of the body ratio at each body frequency, relative.
     gain_ratio : float
         Of |G_yy/G_xx| times the factory ratio, relative, its constancy included.
     """
 
     reciprocity: float
-    body: float
+    body: tuple[float, ...]
     gain_ratio: float
 
     @classmethod
@@ -177,9 +183,6 @@ class Deviations:
         frequency = math.hypot(A_sd[1, 0].imag, A_sd[0, 1].imag)
         G, G_sd = estimate.G, estimate.unpack(sd)[1]
         gain = math.hypot(abs(G_sd[1, 1].imag / G[1, 1]), abs(G_sd[0, 0].imag / G[0, 0]))
-        body = 1.0
-        if estimate.body is not None:
-            body_sd = estimate.unpack(sd)[3]
-            assert body_sd is not None
-            body = float(math.hypot(*(np.abs(body_sd) / np.abs(estimate.body)))) / math.sqrt(2.0)
-        return cls(max(frequency, 1e-12), max(body, 1e-9), max(math.hypot(gain, priors.drive_ratio), 1e-9))
+        body_sd = np.abs(estimate.unpack(sd)[3]) / np.maximum(np.abs(estimate.body), 1e-300)
+        body = tuple(max(float(math.hypot(*body_sd[:, k])) / math.sqrt(2.0), 1e-9) for k in range(body_sd.shape[1]))
+        return cls(max(frequency, 1e-12), body, max(math.hypot(gain, priors.drive_ratio), 1e-9))

@@ -56,7 +56,8 @@ def calibrate_sideband(
     kappa = campaign.factory.get("angular_gain_kappa")
     if not isinstance(kappa, int | float) or not kappa > 0:
         raise CalibrationRefused(
-            f"Factory data must hold a positive angular_gain_kappa, but got {kappa!r}. No self-calibration sees it; take it from the factory."
+            f"Factory data must hold a positive angular_gain_kappa, but got {kappa!r}. "
+            "No self-calibration sees it: take it from the factory."
         )
     priors = priors or Priors()
     recordings, skipped = usable_recordings(campaign)
@@ -107,7 +108,7 @@ class _Problem:
         symmetric = bare @ frame.metric
         named: dict[str, float] = {"rate": rate}
         for axis in _AXIS:
-            bias, slope = _line(at_rest, response, G, np.zeros((2, 2)), None, self.amplitude, axis)
+            bias, slope = _line(at_rest, response, G, np.zeros((2, 2), dtype=complex), None, self.amplitude, axis)
             named[f"bias_{axis}"], named[f"scale_{axis}"] = bias / slope, slope
             named[f"mission_bias_{axis}"], named[f"mission_scale_{axis}"] = _line(
                 at_rest, response, G, E, self.volts[axis], self.amplitude, axis
@@ -159,10 +160,8 @@ class _Problem:
         mission = {}
         for axis in _AXIS:
             pick = [index[f"mission_bias_{axis}"], index[f"mission_scale_{axis}"]]
-            mission[axis] = MissionChannel(
-                float(derived.values[pick[0]]), float(derived.values[pick[1]]), covariance[np.ix_(pick, pick)]
-            )
-        not_observable, warnings = self._verdicts(derived, skipped)
+            mission[axis] = MissionChannel(float(derived.values[pick[0]]), float(derived.values[pick[1]]), covariance[np.ix_(pick, pick)])
+        not_observable, warnings = self._verdicts(derived, covariance, skipped)
         parameters = {name: q(name, _unit(name)) for name in derived.names if not name.startswith(("rate", "bias_", "scale_", "mission_"))}
         return CalibrationResult(
             device_id=device_id,
@@ -194,17 +193,23 @@ class _Problem:
         density = math.sqrt(2.0 * two_sided) / (gain * scale)
         return Quantity(density, 0.1 * density, "rad/s/sqrt(Hz)")
 
-    def _verdicts(self, derived: _Derived, skipped: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def _verdicts(self, derived: _Derived, covariance: FloatArray, skipped: tuple[str, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         not_observable, warnings = ["angular_gain_kappa: taken from the factory, no self-calibration sees it"], []
-        labels = ("pickoff_ratio", "pickoff_non_orthogonality", "pickoff_phase")
-        remedies = (
-            "inject a known quadrature, record body excitation (equal gaps), or store the factory's drive-gain ratio",
-            "needs cross stiffness and a frequency split along the axes",
-            "record body excitation off resonance",
+        sd = np.sqrt(np.diag(covariance))
+        limits = (
+            (
+                "pickoff_ratio",
+                3e-4,
+                "inject a known quadrature, record body excitation (equal gaps), or store the factory's drive-gain ratio",
+            ),
+            ("pickoff_phase", 1e-4, "record body excitation off resonance"),
         )
-        for label, share, remedy in zip(labels, derived.frame.prior_share, remedies, strict=True):
-            if share > 0.25:
-                not_observable.append(f"{label}: {100 * share:.0f} % of what is known is prior; {remedy}")
+        for name, limit, remedy in limits:
+            found = float(sd[derived.names.index(name)])
+            if found > limit:
+                not_observable.append(f"{name}: known to {found:.1e} only, {limit:.0e} is needed; {remedy}")
+        if derived.frame.prior_share[1] > 0.5:
+            not_observable.append("pickoff_non_orthogonality: from its prior; needs cross stiffness and a frequency split along the axes")
         if not self.fit.has_feedthrough:
             warnings.append("feedthrough E was not measured and is taken as zero: record open drive off resonance (run_feedthrough)")
         reduced = self.fit.chi2 / max(self.fit.dof, 1)
@@ -241,7 +246,7 @@ def _main_amplitude(recordings: list[Recording]) -> float:
 
 
 def _held_volts(recordings: list[Recording], axis: str, amplitude: float) -> ComplexArray | None:
-    """Where the device's loops really hold the pick-offs, per volt of oscillator: a PLL or rebalance that sits off zero biases the rate channel."""
+    """Where the device's loops really hold the pick-offs: a PLL or a rebalance that sits off zero biases the rate channel."""
     own = [
         r.pick.mean(axis=0) / r.command.setpoints.amplitude_v
         for r in recordings

@@ -60,8 +60,9 @@ class SlowFlowEstimate:
     ----------
     A, G, E : ndarray, shape (2, 2), complex
         [1/s], [1/s], dimensionless. ``A`` includes the constant input rate.
-    body : ndarray, shape (2,), complex, or None
-        Response of each pick-off to one volt of body excitation [1/s].
+    body : ndarray, shape (2, k), complex
+        Response of each pick-off to one volt of body excitation [1/s], one column per excitation frequency (k may be 0): how strongly the
+        body answers may depend on frequency, the ratio of the pick-offs does not.
     covariance : ndarray, shape (n, n)
         Of the real parameter vector, see :meth:`vector`.
     has_feedthrough : bool
@@ -79,7 +80,7 @@ class SlowFlowEstimate:
     A: ComplexArray
     G: ComplexArray
     E: ComplexArray
-    body: ComplexArray | None
+    body: ComplexArray
     covariance: FloatArray
     has_feedthrough: bool
     omega0_rad_s: float
@@ -92,27 +93,26 @@ class SlowFlowEstimate:
     table: tuple[TableRow, ...]
 
     def vector(self) -> FloatArray:
-        """Real parameters per axis: A_ax, A_ay, G~_ax, G~_ay, (E_ax, E_ay), (H_a), each (re, im); G~ = G - A E."""
+        """Real parameters per axis: A_ax, A_ay, G~_ax, G~_ay, (E_ax, E_ay), (H_a, one per body frequency), each (re, im); G~ = G - A E."""
         reduced = self.G - self.A @ self.E
         parts: list[complex] = []
         for a in range(2):
             parts += [*self.A[a], *reduced[a]]
             if self.has_feedthrough:
                 parts += [*self.E[a]]
-            if self.body is not None:
-                parts.append(self.body[a])
+            parts += [*self.body[a]]
         return np.array(parts, dtype=complex).view(np.float64)
 
-    def unpack(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray | None]:
+    def unpack(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
         """A, G, E, body of a real parameter vector."""
         parts = np.ascontiguousarray(vector).view(np.complex128).reshape(2, -1)
         A, reduced = parts[:, 0:2], parts[:, 2:4]
         E = parts[:, 4:6] if self.has_feedthrough else np.zeros((2, 2), dtype=complex)
-        return A, reduced + A @ E, E, (parts[:, -1] if self.body is not None else None)
+        return A, reduced + A @ E, E, parts[:, 4 + 2 * int(self.has_feedthrough) :]
 
 
 def usable_recordings(campaign: Campaign) -> tuple[list[Recording], list[str]]:
-    """Recordings of the force-rebalance campaign that a fit at one temperature and one constant rate may use, and why others are left out."""
+    """Recordings that a fit at one temperature and one constant rate may use, and why others are left out."""
     wanted = [r for r in campaign if r.command.mode in ("ftr_x", "ftr_y") or _is_open(r)]
     skipped = []
     chosen = []
@@ -154,14 +154,14 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float) -> SlowFlowEst
     loops = [r for r in recordings if r.command.oscillator_axis]
     omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in loops]))
     has_feedthrough = any(r.command.excitation.kind == "drive" for r in recordings)
-    has_body = any(r.command.excitation.kind == "body" for r in recordings)
+    bodies = sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})
     signal = [project(r, _lines(r), omega0, decay_rate) for r in recordings]
     quiet = [project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings]
     fits: list[LinearFit] = []
     noise: dict[tuple[str, str, str], NoiseModel] = {}
     for axis in range(2):
-        columns = [_columns(p, has_feedthrough, has_body) for p in signal]
-        quiet_columns = [_columns(p, has_feedthrough, has_body) for p in quiet]
+        columns = [_columns(p, r, has_feedthrough, bodies) for p, r in zip(signal, recordings, strict=True)]
+        quiet_columns = [_columns(p, r, has_feedthrough, bodies) for p, r in zip(quiet, recordings, strict=True)]
         roles = [_role(r, axis) for r in recordings]
         fit: LinearFit | None = None
         models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in set(roles) for part in ("re", "im")}
@@ -182,7 +182,7 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float) -> SlowFlowEst
         assert fit is not None
         fits.append(fit)
         noise |= {(AXES[axis], role, part): model for (role, part), model in models.items()}
-    return _assemble(recordings, signal, fits, noise, omega0, has_feedthrough, has_body)
+    return _assemble(recordings, signal, fits, noise, omega0, has_feedthrough)
 
 
 def _is_open(recording: Recording) -> bool:
@@ -214,17 +214,22 @@ def _quiet_lines(recording: Recording) -> list[float]:
     return [float(f) for f in free]
 
 
-def _columns(p: Projected, has_feedthrough: bool, has_body: bool) -> ComplexArray:
+def _columns(p: Projected, recording: Recording, has_feedthrough: bool, bodies: list[float]) -> ComplexArray:
+    """Regressors of one recording: V, u, L[u] when E is sought, and the body's volts in the column of its frequency."""
     parts = [p.pick, p.drive]
     if has_feedthrough:
         parts.append(p.drive_rate)
-    if has_body:
-        parts.append(p.body[:, None])
+    parts += [(p.body * (recording.command.excitation.frequency_hz == f))[:, None] for f in bodies]
     return np.hstack(parts)
 
 
 def _measure_noise(
-    quiet: list[Projected], columns: list[ComplexArray], roles: list[str], recordings: list[Recording], axis: int, coefficients: ComplexArray
+    quiet: list[Projected],
+    columns: list[ComplexArray],
+    roles: list[str],
+    recordings: list[Recording],
+    axis: int,
+    coefficients: ComplexArray,
 ) -> dict[tuple[str, str], NoiseModel]:
     models = {}
     for role in set(roles):
@@ -244,7 +249,6 @@ def _assemble(
     noise: dict[tuple[str, str, str], NoiseModel],
     omega0: float,
     has_feedthrough: bool,
-    has_body: bool,
 ) -> SlowFlowEstimate:
     values = np.array([f.coefficients for f in fits])
     A, reduced = values[:, 0:2], values[:, 2:4]
@@ -263,17 +267,23 @@ def _assemble(
             ]
             line = [_phasor(q[own]) for q in (p.pick, p.drive)]
             left = [_phasor(fits[a].residuals[i][own][:, None])[0] for a in range(2)]
+            pick, drive = line
             table.append(
                 TableRow(
-                    r.label, r.command.oscillator_axis or "", float(f), (line[0][0], line[0][1]), (line[1][0], line[1][1]),
-                    (left[0], left[1]), (sd[0], sd[1]),
-                )  # fmt: skip
+                    label=r.label,
+                    axis=r.command.oscillator_axis or "",
+                    frequency_hz=float(f),
+                    pick=(pick[0], pick[1]),
+                    drive=(drive[0], drive[1]),
+                    residual=(left[0], left[1]),
+                    sd=(sd[0], sd[1]),
+                )
             )
     return SlowFlowEstimate(
         A=A,
         G=reduced + A @ E,
         E=E,
-        body=values[:, -1] if has_body else None,
+        body=values[:, 4 + 2 * int(has_feedthrough) :],
         covariance=covariance,
         has_feedthrough=has_feedthrough,
         omega0_rad_s=omega0,

@@ -12,12 +12,17 @@ __all__ = ["Limits", "Plan", "Step"]
 
 @dataclass(frozen=True)
 class Step:
-    """Record ``duration_s`` under ``command`` after ``settle_s``; ``label`` names the recording."""
+    """Record ``duration_s`` under ``command`` after ``settle_s``; ``label`` names the recording.
+
+    With ``detuning_hz`` the excitation's frequency is the resonance as last measured (the reference frequency of the latest closed-loop
+    recording) plus this; units differ by more than the distance at which an open drive must stay from resonance.
+    """
 
     label: str
     command: Command
     duration_s: float
     settle_s: float = 1.0
+    detuning_hz: float | None = None
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0 or self.settle_s < 0:

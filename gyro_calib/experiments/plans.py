@@ -140,16 +140,15 @@ def _loop_steps(q: Quality, amplitude: float) -> list[Step]:
 
 
 def _open_steps(q: Quality, factory: Mapping[str, Any]) -> list[Step]:
-    if "nominal_f0_hz" not in factory:
-        raise DataError(f"Factory data must hold nominal_f0_hz for off-resonance records, but got {sorted(factory)}.")
-    f0 = float(factory["nominal_f0_hz"])
+    """Loops-off records about the resonance that a short static record measures first."""
     volts = 0.4 * float(factory.get("dac_full_scale_V", 5.0))
-    steps = []
+    amplitude = _amplitude(factory)
+    steps = [Step("locate", Command("ftr_x", setpoints=Setpoints(amplitude)), 2.0, SWAP_SETTLE_S)]
     for df in FEEDTHROUGH_HZ:
         for axis in "xy":
-            command = Command("loops_off", Excitation("drive", f0 + df, 0.0, volts, axis))
-            steps.append(Step(f"feed_{axis}_{df:+g}hz", command, q.open_s, OPEN_SETTLE_S))
+            command = Command("loops_off", Excitation("drive", 0.0, 0.0, volts, axis), Setpoints(amplitude))
+            steps.append(Step(f"feed_{axis}_{df:+g}hz", command, q.open_s, OPEN_SETTLE_S, detuning_hz=df))
     for df in BODY_HZ:
-        command = Command("loops_off", Excitation("body", f0 + df, 0.0, 2.0 * volts, "both"))
-        steps.append(Step(f"body_{df:+g}hz", command, 2.0 * q.open_s, OPEN_SETTLE_S))
+        command = Command("loops_off", Excitation("body", 0.0, 0.0, 2.0 * volts, "both"), Setpoints(amplitude))
+        steps.append(Step(f"body_{df:+g}hz", command, 2.0 * q.open_s, OPEN_SETTLE_S, detuning_hz=df))
     return steps

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import ExperimentAborted, GyroCalibError
+from ..recording.command import Command
 from ..recording.rate import raw_rate
 from ..recording.recording import Campaign, Recording
 from .instrument import Instrument
@@ -70,7 +71,7 @@ def run_plan(
                 fraction = done_s / plan.duration_s
                 eta = (time.monotonic() - started) * (1.0 - fraction) / fraction if fraction > 0 else float("nan")
                 on_progress(Progress(fraction, eta, step.label, index, len(plan.steps)))
-            instrument.configure(step.command)
+            instrument.configure(_resolved(step, recordings))
             recording = instrument.record(step.duration_s, settle_s=step.settle_s, label=step.label)
             watch.check(step, recording)
             recordings.append(recording)
@@ -82,6 +83,17 @@ def run_plan(
     if on_progress is not None:
         on_progress(Progress(1.0, 0.0, "", len(plan.steps), len(plan.steps)))
     return Campaign(instrument.device_id, tuple(recordings), dict(instrument.factory))
+
+
+def _resolved(step: Step, recordings: list[Recording]) -> Command:
+    """The step's command, its detuning referred to the latest closed-loop reference frequency."""
+    if step.detuning_hz is None:
+        return step.command
+    located = [r for r in recordings if r.command.oscillator_axis]
+    if not located:
+        raise ExperimentAborted(f"Step {step.label} must follow a closed-loop record that locates the resonance, but there was none.")
+    frequency = float(np.mean(located[-1].column("ref_freq"))) + step.detuning_hz
+    return replace(step.command, excitation=replace(step.command.excitation, frequency_hz=frequency))
 
 
 def _return_to_mission(instrument: Instrument, plan: Plan) -> None:
@@ -132,7 +144,8 @@ class _Watch:
             # the modulation itself moves the rate channel: only a motion that the modulation cannot make is held against the base
             worst = float(np.max(np.abs(means - np.median(means)))) - abs(float(np.median(means))) * 2.0 * step.command.excitation.index
         if worst > self._limits.base_rate_rad_s:
+            limit, moved = np.degrees(self._limits.base_rate_rad_s), np.degrees(worst)
             raise ExperimentAborted(
-                f"Base must stay within {np.degrees(self._limits.base_rate_rad_s):.3g} deg/s of rest, but moved {np.degrees(worst):.3g} deg/s in step "
-                f"{step.label}. Hold the gyro still and run again, or raise base_rate_limit_rad_s."
+                f"Base must stay within {limit:.3g} deg/s of rest, but moved {moved:.3g} deg/s in step {step.label}. "
+                "Hold the gyro still and run again, or raise base_rate_limit_rad_s."
             )

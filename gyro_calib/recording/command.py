@@ -13,10 +13,10 @@ __all__ = ["EXCITATIONS", "MODES", "Command", "Excitation", "Setpoints"]
 
 #: operating modes
 MODES = ("ftr_x", "ftr_y", "whole_angle", "ring_down", "ring_up", "stiffness", "loops_off")
-#: kinds of excitation. ``amplitude_modulation``: oscillator position set to amplitude (1 + index sin 2 pi f t);
-#: ``frequency_modulation``: phase of the oscillator against the reference set to index sin 2 pi f t [rad]; ``secondary_modulation``: the closed axis is driven to
-#: amplitude * index * sin 2 pi f t; ``drive``: open drive of ``axis`` at absolute ``frequency_hz`` with ``volts`` (loops_off);
-#: ``body``: the body is shaken at absolute ``frequency_hz``, equal force on both axes (loops_off).
+#: kinds of excitation, f = ``frequency_hz``. ``amplitude_modulation``: oscillator position set to amplitude (1 + index sin 2 pi f t);
+#: ``frequency_modulation``: phase of the oscillator against the reference set to index sin 2 pi f t [rad];
+#: ``secondary_modulation``: the closed axis is driven to amplitude * index * sin 2 pi f t; ``drive`` (loops_off): open drive of ``axis``
+#: at absolute f with ``volts``; ``body`` (loops_off): the body is shaken at absolute f, equal force on both axes.
 EXCITATIONS = ("none", "amplitude_modulation", "frequency_modulation", "secondary_modulation", "drive", "body")
 
 

@@ -43,11 +43,15 @@ class _Base:
         self.param = np.zeros(control.N_PARAM)
         self.adc_w = filters.polyphase_weights(e.samples_per_control)
         self.row_w = filters.polyphase_weights(e.controls_per_row)
-        samples = filters.group_delay_samples(e.samples_per_control) + e.samples_per_control * filters.group_delay_samples(e.controls_per_row)
+        samples = filters.group_delay_samples(e.samples_per_control) + e.samples_per_control * filters.group_delay_samples(
+            e.controls_per_row
+        )
         # a row ends with its newest sample at (count * samples - 1) sample times
         self.row_delay_s = (samples + 1.0) / e.adc_rate_hz
         volts = start.pick + device.feedthrough.matrix() @ start.drive
-        self.channels0 = np.array([volts[0].real, volts[0].imag, volts[1].real, volts[1].imag, *loop[control.S_DRIVE : control.S_DRIVE + 4]])
+        self.channels0 = np.array(
+            [volts[0].real, volts[0].imag, volts[1].real, volts[1].imag, *loop[control.S_DRIVE : control.S_DRIVE + 4]]
+        )
         self.held = np.tile(np.append(self.channels0[4:], loop[control.S_OMEGA]), (3, 1))
         # accumulators hold what earlier, steady samples would have left behind
         tail = np.array([self.row_w[1:].sum(), self.row_w[2].sum(), 0.0])
@@ -107,9 +111,7 @@ class CarrierPlant(_Base):
         d, count = self.device, rate_rad_s.size
         dt = 1.0 / d.electronics.adc_rate_hz
         mean = float(temperature_degc.mean())
-        const = np.array(
-            [dt, self.w, math.sqrt(self.force_psd(mean) * dt) / self.w, self.pickoff_density() * math.sqrt(0.5 / dt)]
-        )
+        const = np.array([dt, self.w, math.sqrt(self.force_psd(mean) * dt) / self.w, self.pickoff_density() * math.sqrt(0.5 / dt)])
         noise = self.normals(count * self.row_w.shape[1] * self.adc_w.shape[1], 4)
         out = np.empty((count, 9))
         rise = temperature_degc - d.resonator.reference_temperature_degc

@@ -33,7 +33,7 @@ class _Clock:
     delay_s: float
 
     def times(self, first: int, count: int) -> FloatArray:
-        return (np.arange(first + 1, first + count + 1)) * self.row_s - self.delay_s
+        return np.asarray(np.arange(first + 1, first + count + 1) * self.row_s - self.delay_s)
 
 
 class GyroSimulator:

@@ -27,9 +27,9 @@ class TemperatureWander:
         e = self._environment
         mean = e.temperature_degc + e.ramp_k_per_s * (start_s + row_s * np.arange(count))
         if self._sd == 0.0:
-            return mean
+            return np.asarray(mean, dtype=float)
         keep = math.exp(-row_s / e.wander_time_s)
         kicks = self._sd * math.sqrt(1.0 - keep**2) * self._rng.standard_normal(count)
         wander, _ = lfilter([1.0], [1.0, -keep], kicks, zi=[keep * self._state])
         self._state = float(wander[-1])
-        return np.asarray(mean + wander)
+        return np.asarray(mean + wander, dtype=float)

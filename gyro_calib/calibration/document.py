@@ -1,0 +1,121 @@
+"""The record as text: YAML with the name of the format, the schema version and a checksum of the content.
+
+The checksum is taken of the canonical JSON of the content, not of the text: white space and comments may change, numbers may not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import yaml
+
+from ..errors import DataError, StoreError
+from .record import SCHEMA_VERSION, CalibrationRecord, canonical_json
+
+__all__ = ["FORMAT", "MAX_DOCUMENT_CHARS", "dump_record", "parse_record"]
+
+#: what the key ``format`` of a document says
+FORMAT = "gyro_calib calibration record"
+#: a record is some ten thousand characters; a hundred times that is not a record
+MAX_DOCUMENT_CHARS = 1_000_000
+
+_HEADER = """\
+# Calibration record of gyro_calib: rate = (rate_raw - bias) / scale_factor, in the units given with each value.
+# Do not edit: the checksum covers the content and an edited record is refused. Calibrate again, or revert to a previous version.
+"""
+# what PyYAML raises on text that is not YAML, or is YAML of values that cannot be built (!!int x, 2024-99-99)
+_NOT_YAML = (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses aliases: a few lines of them expand to gigabytes."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not allowed")
+        return super().compose_node(parent, index)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe dumper that writes equal parts out in full."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def dump_record(record: CalibrationRecord) -> str:
+    """Return the document of ``record``; the same record always gives the same text."""
+    head = {"format": FORMAT, "schema_version": record.schema_version}
+    content = record.to_dict()
+    document = {**head, "checksum_sha256": _checksum({**head, "record": content}), "record": content}
+    return _HEADER + yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=140, default_flow_style=None)
+
+
+def parse_record(text: str, *, device_id: str | None = None, source: str = "Calibration record") -> CalibrationRecord:
+    """Return the record in ``text``.
+
+    Parameters
+    ----------
+    text : str
+        A document of :func:`dump_record`.
+    device_id : str, optional
+        The device that the record must belong to; ``None`` accepts any.
+    source : str
+        How error texts call the document: a path, a topic.
+
+    Raises
+    ------
+    StoreError
+        Not a record, of another schema, torn or edited (checksum), with impossible values, or of another device. The text says which.
+    """
+    document = _mapping(text, source)
+    if document.get("format") != FORMAT:
+        raise StoreError(f"{source} must be a {FORMAT!r}, but got format {_short(document.get('format'))}. It is another program's file.")
+    version = document.get("schema_version")
+    if version != SCHEMA_VERSION or isinstance(version, bool):
+        raise StoreError(
+            f"{source} must have schema_version {SCHEMA_VERSION}, but got {_short(version)}. "
+            "Use the gyro_calib that wrote it, or calibrate again."
+        )
+    content = {"format": FORMAT, "schema_version": version, "record": document.get("record")}
+    try:
+        checksum = _checksum(content)
+        if document.get("checksum_sha256") != checksum:
+            raise StoreError(
+                f"{source} must have the checksum of its content, {checksum}, but got {_short(document.get('checksum_sha256'))}. "
+                "It is torn or was edited: use the previous version or calibrate again."
+            )
+        record = CalibrationRecord.from_dict(content["record"])
+    except (DataError, TypeError, ValueError, RecursionError) as error:
+        raise StoreError(f"{source} must hold a valid record, but got: {error}") from error
+    if device_id is not None and record.device_id != device_id:
+        raise StoreError(
+            f"{source} must belong to device {device_id!r}, but got a record of {record.device_id!r}. "
+            "Calibrate this device, or correct the path."
+        )
+    return record
+
+
+def _mapping(text: str, source: str) -> dict[str, Any]:
+    if len(text) > MAX_DOCUMENT_CHARS:
+        raise StoreError(f"{source} must be at most {MAX_DOCUMENT_CHARS} characters, but got {len(text)}. It is not a record.")
+    if not text.strip("\x00 \t\r\n"):
+        raise StoreError(f"{source} must hold a record, but got an empty text. It is torn: use the previous version or calibrate again.")
+    try:
+        document = yaml.load(text, Loader=_Loader)
+    except _NOT_YAML as error:
+        reason = " ".join(str(error).split())[:200]
+        raise StoreError(f"{source} must be YAML, but got a text that is not ({reason}). It is torn or foreign.") from error
+    if not isinstance(document, dict):
+        raise StoreError(f"{source} must be a YAML mapping, but got {type(document).__name__}. It is torn or foreign.")
+    return document
+
+
+def _checksum(content: dict[str, Any]) -> str:
+    return hashlib.sha256(canonical_json(content).encode()).hexdigest()
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."

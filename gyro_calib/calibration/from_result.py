@@ -1,0 +1,101 @@
+"""From an estimate to the record that a corrector applies: ``rate_raw`` of the mission mode, as made with the nominal scale factor."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from datetime import datetime, timezone
+
+from .. import __version__
+from ..errors import CalibrationRefused
+from ..estimation import CalibrationResult
+from ..quantity import Quantity
+from ..recording.recording import Campaign
+from .record import CalibrationRecord
+
+__all__ = ["record_from_result"]
+
+#: a record is applied without a warning within this distance from its temperature [K], and for this long [s]
+VALID_K = 5.0
+VALID_S = 30.0 * 86400.0
+
+
+def record_from_result(
+    result: CalibrationResult, campaign: Campaign, *, run_id: str, mode: str = "ftr_x", created: datetime | None = None
+) -> CalibrationRecord:
+    """Build the record of an estimate.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        What was estimated.
+    campaign : Campaign
+        What it was estimated from; its factory data hold the nominal scale factor that ``rate_raw`` was made with.
+    run_id : str
+        Run that made it.
+    mode : str
+        Mission mode, ``"ftr_x"`` or ``"ftr_y"``.
+    created : datetime, optional
+        Time of creation (default: now).
+
+    Raises
+    ------
+    CalibrationRefused
+        The mode has no rate channel in the result, the factory data lack the nominal scale factor, or the estimate is not finite.
+    """
+    axis = {"ftr_x": "x", "ftr_y": "y"}.get(mode)
+    if axis is None or axis not in result.mission:
+        raise CalibrationRefused(f"Mode must be one that the result calibrates ({', '.join(result.mission)}), but got {mode!r}.")
+    nominal = campaign.factory.get("nominal_scale_factor_v_per_rad_s")
+    if not isinstance(nominal, dict) or axis not in nominal:
+        raise CalibrationRefused(f"Factory data must hold nominal_scale_factor_v_per_rad_s for {axis!r}, but got {nominal!r}.")
+    volts = float(nominal[axis]) * result.amplitude_v / float(campaign.factory.get("nominal_amplitude_v", result.amplitude_v))
+    channel = result.mission[axis]
+    variance = channel.covariance / volts**2
+    if not (math.isfinite(channel.bias_v) and math.isfinite(channel.volts_per_rad_s) and math.isfinite(float(variance.sum()))):
+        raise CalibrationRefused(f"Estimate must be finite, but got bias {channel.bias_v!r} V and {channel.volts_per_rad_s!r} V/(rad/s).")
+    temperatures = [t for r in campaign for t in (float(r.temperature_degc.min()), float(r.temperature_degc.max()))]
+    record = CalibrationRecord(
+        record_id="pending",
+        device_id=result.device_id,
+        created_utc=(created or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
+        method=result.method,
+        mode=mode,
+        bias=Quantity(channel.bias_v / volts, math.sqrt(variance[0, 0]), "rad/s"),
+        scale_factor=Quantity(channel.volts_per_rad_s / volts, math.sqrt(variance[1, 1]), "1"),
+        bias_scale_covariance=float(variance[0, 1]),
+        rate_noise_density=result.rate_noise_density[axis],
+        rate=result.rate,
+        temperature_degc=Quantity(result.temperature_degc, result.temperature_sd_k, "degC"),
+        bias_by_axis=dict(result.bias),
+        scale_factor_by_axis=dict(result.scale_factor),
+        compensation=campaign.recordings[-1].command.compensation,
+        parameters=dict(result.parameters),
+        operating_point={"amplitude_v": result.amplitude_v, "ref_freq_hz": result.reference_frequency_hz},
+        validity={
+            "temperature_min_degc": min(temperatures) - VALID_K,
+            "temperature_max_degc": max(temperatures) + VALID_K,
+            "max_age_s": VALID_S,
+        },
+        condition_number=result.condition_number,
+        not_observable=result.not_observable,
+        warnings=result.warnings,
+        provenance={
+            "run_id": run_id,
+            "software": f"gyro_calib {__version__}",
+            "recordings": len(campaign),
+            "duration_s": sum(r.duration_s for r in campaign),
+            "data_sha256": _fingerprint(campaign),
+            "chi2_per_dof": result.chi2_per_dof,
+            "nominal_scale_factor_v_per_rad_s": volts,
+            "equation": "rate = (rate_raw - bias) / scale_factor; kappa assumed constant (no self-calibration sees it)",
+        },
+    )
+    return record.with_new_id()
+
+
+def _fingerprint(campaign: Campaign) -> str:
+    digest = hashlib.sha256()
+    for recording in campaign:
+        digest.update(recording.data.tobytes())
+    return digest.hexdigest()

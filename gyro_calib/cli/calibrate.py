@@ -1,0 +1,55 @@
+"""Calibrate a device from its recordings."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from .console import print_table, print_warnings, progress_bar, say, write_json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="HDF5 files, ROS 2 bags or folders, of one device")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result; - for stdout")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a report page")
+    parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
+    parser.add_argument("--device-id", metavar="ID", help="identity of the unit, for a bag that lacks it")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, estimate, report."""
+    from ..estimation import calibrate
+    from ..recording.load import load_campaign
+    from ..report.calibration_page import result_table
+
+    with progress_bar("reading") as report:
+        campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
+    with progress_bar("estimating") as report:
+        result = calibrate(campaign, on_progress=lambda fraction: report(fraction, ""), with_convergence=arguments.html is not None)
+    if arguments.json is None or str(arguments.json) != "-":
+        print_table(result_table(result))
+    print_warnings([*(f"not observable: {item}" for item in result.not_observable), *result.warnings])
+    if arguments.json is not None:
+        write_json(arguments.json, result.to_json())
+    if arguments.html is not None:
+        _write_page(arguments, campaign, result)
+    return 0
+
+
+def _write_page(arguments: argparse.Namespace, campaign, result) -> None:  # type: ignore[no-untyped-def]
+    from ..paths import package_version
+    from ..report.calibration_page import RunFacts, calibration_page
+    from ..report.page import write_page
+
+    names = ", ".join(path.name for path in arguments.recordings)
+    lasted = sum(recording.duration_s for recording in campaign)
+    facts = RunFacts(
+        title=f"Calibration of {campaign.device_id}",
+        subtitle=f"From {len(campaign)} recordings in {names}, method {result.method}.",
+        footer=f"gyro_calib {package_version()}",
+        device_s=lasted,
+    )
+    write_page(arguments.html, calibration_page(result, campaign, facts))
+    if arguments.json is None or str(arguments.json) != "-":
+        say(f"report: {arguments.html}")

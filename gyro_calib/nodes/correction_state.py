@@ -1,0 +1,155 @@
+"""Which record is applied to one gyro, if any, and why: the decisions of ``imu_corrector``, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from ..calibration import CalibrationRecord, Corrector, CovarianceModel, RateErrorModel, validity_problems
+from ..errors import DataError
+
+__all__ = ["ERROR", "OK", "WARN", "CorrectionSettings", "CorrectionState"]
+
+#: levels, as in diagnostic_msgs/DiagnosticStatus
+OK, WARN, ERROR = 0, 1, 2
+
+#: sample rate until the first two stamps are known [Hz]
+_FIRST_GUESS_HZ = 1000.0
+
+
+@dataclass(frozen=True)
+class CorrectionSettings:
+    """What the user asks for; parameters of the node, described there."""
+
+    uncalibrated: RateErrorModel
+    covariance_mode: str = "total"
+    horizon_s: float = 60.0
+    bandwidth_hz: float | None = None
+    bias_drift_sd_rad_s: float = 0.0
+    out_of_validity_sd_factor: float = 10.0
+    hold_uncalibrated: bool = False
+
+    def covariance(self, sample_rate_hz: float) -> CovarianceModel:
+        """The model for a sample rate."""
+        return CovarianceModel(self.covariance_mode, sample_rate_hz, self.bandwidth_hz, self.horizon_s)
+
+
+class CorrectionState:
+    """Decides, for one gyro, how a raw rate becomes a rate.
+
+    The outcome of :meth:`refresh` is plain numbers for the sample loop: ``rate = (raw - bias) * gain``, variance
+    ``c0 + rate (c1 + c2 rate)``, and ``publishing``.
+
+    Parameters
+    ----------
+    settings : CorrectionSettings
+        What the user asks for; may be replaced at any time.
+    expected_device : str
+        The device that the user says it is; "" when he does not.
+    """
+
+    def __init__(self, settings: CorrectionSettings, expected_device: str = "") -> None:
+        self.settings = settings
+        self.expected_device = expected_device
+        self.reported_device = ""
+        self.enabled = True
+        self.record: CalibrationRecord | None = None
+        self.source = ""
+        #: why the last record that was offered is not used; "" when it is
+        self.refusal = ""
+        #: what is to be known about the source of the record
+        self.note = ""
+        #: nodes that publish the raw rate and correct it themselves
+        self.upstream: tuple[str, ...] = ()
+        self.temperature_degc: float | None = None
+        self.mode: str | None = None
+        self.excitation: str | None = None
+        self.compensation: tuple[float, ...] | None = None
+        self.sample_rate_hz = _FIRST_GUESS_HZ
+        self.bias, self.gain = 0.0, 1.0
+        self.c0, self.c1, self.c2 = 0.0, 0.0, 0.0
+        self.publishing, self.corrected = False, False
+        self.level, self.text = WARN, ""
+        self.refresh(None)
+
+    @property
+    def device_id(self) -> str:
+        """The device as far as it is known; "" when it is not."""
+        return self.reported_device or self.expected_device
+
+    def offer(self, record: CalibrationRecord, source: str) -> bool:
+        """Take ``record`` into force, unless it belongs to another device; the one in force stays then."""
+        if self.device_id:
+            try:
+                Corrector(record, device_id=self.device_id)
+            except DataError as error:
+                self.refusal = f"{source}: {error}"
+                return False
+        self.record, self.source, self.refusal, self.note = record, source, "", ""
+        return True
+
+    def identify(self, device_id: str) -> None:
+        """The gyro says who it is; a record of another device goes out of force."""
+        self.reported_device = device_id
+        if self.record is not None and self.record.device_id != device_id:
+            record, self.record = self.record, None
+            self.offer(record, self.source)
+
+    def refresh(self, now: datetime | None) -> None:
+        """Decide anew; call it after anything changed, and from time to time because records age."""
+        problems: list[tuple[int, str]] = [(ERROR, self.refusal)] if self.refusal else []
+        blocked = self._upstream_problem()
+        why_not = "" if blocked else self._why_not_corrected()
+        record = None if blocked or why_not else self.record
+        covariance = self.settings.covariance(self.sample_rate_hz)
+        if record is None:
+            errors = self.settings.uncalibrated
+        else:
+            doubts = self._doubts(record, now)
+            problems += [(WARN, doubt) for doubt in doubts]
+            errors = RateErrorModel.from_record(
+                record,
+                bias_drift_sd_rad_s=self.settings.bias_drift_sd_rad_s,
+                sd_factor=self.settings.out_of_validity_sd_factor if doubts else 1.0,
+            )
+            if not self.device_id:
+                problems.append((WARN, "Device not verified: the gyro does not say who it is; set device_ids."))
+        if blocked:
+            problems.append((ERROR, blocked))
+        elif why_not:
+            held = self.settings.hold_uncalibrated
+            problems.append((ERROR, f"Held: {why_not}") if held else (WARN, f"Uncorrected: {why_not}"))
+        self.bias, self.gain = errors.bias_rad_s, 1.0 / errors.scale_factor
+        self.c0, self.c1, self.c2 = errors.variance_coefficients(covariance)
+        self.corrected = record is not None
+        self.publishing = not blocked and (self.corrected or not self.settings.hold_uncalibrated)
+        self._say(problems, record)
+
+    def _upstream_problem(self) -> str:
+        if not self.upstream:
+            return ""
+        return f"Input must be a raw rate, but {', '.join(self.upstream)} corrected it already. Subscribe to the gyro itself."
+
+    def _why_not_corrected(self) -> str:
+        if not self.enabled:
+            return "correction is switched off; call ~/enable."
+        if self.expected_device and self.reported_device and self.expected_device != self.reported_device:
+            return f"device_ids says {self.expected_device!r}, but the gyro says {self.reported_device!r}; correct one of them."
+        if self.record is None:
+            return "there is no calibration record; calibrate, or set record_urls."
+        if self.excitation not in (None, "none"):
+            return f"the gyro is excited ({self.excitation}), its rate carries that; wait until the run ends."
+        return " ".join(validity_problems(self.record, mode=self.mode, compensation=self.compensation))
+
+    def _doubts(self, record: CalibrationRecord, now: datetime | None) -> Sequence[str]:
+        return validity_problems(record, temperature_degc=self.temperature_degc, now=now)
+
+    def _say(self, problems: list[tuple[int, str]], record: CalibrationRecord | None) -> None:
+        self.level = max((level for level, _ in problems), default=OK)
+        if record is not None:
+            problems.insert(0, (OK, f"Corrected by {record.record_id}."))
+        if self.note:
+            problems.append((WARN, self.note))
+            self.level = max(self.level, WARN)
+        self.text = " ".join(text for _, text in problems)
