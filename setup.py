@@ -1,13 +1,14 @@
-"""What pyproject.toml cannot say: the version (package.xml holds it) and the ROS resources (share/, lib/gyro_calib)."""
+"""What pyproject.toml cannot say, or colcon does not read there: packages, executables, and the ROS resources in share/ and lib/."""
 
 import re
 import sys
 from pathlib import Path
 
-from setuptools import Distribution, setup
+from setuptools import Distribution, find_packages, setup
 
 ROOT = Path(__file__).resolve().parent
 NAME = "gyro_calib"
+NODES = ("gyro_sim_node", "calibration_node", "imu_corrector_node")
 
 
 def package_xml_version() -> str:
@@ -31,7 +32,7 @@ def data_files() -> list[tuple[str, list[str]]]:
             if names:
                 files.append((f"share/{NAME}/{folder.relative_to(ROOT)}", names))
     if {"bdist_wheel", "editable_wheel"} & set(sys.argv):
-        files.append((f"lib/{NAME}", [str(path.relative_to(ROOT)) for path in sorted((ROOT / "scripts").glob("*_node"))]))
+        files.append((f"lib/{NAME}", [f"scripts/{node}" for node in NODES]))
     return files
 
 
@@ -43,4 +44,15 @@ class RosDistribution(Distribution):
         return bool(self.data_files)
 
 
-setup(name=NAME, version=package_xml_version(), license="Apache-2.0", data_files=data_files(), zip_safe=False, distclass=RosDistribution)
+setup(
+    name=NAME,
+    version=package_xml_version(),
+    license="Apache-2.0",
+    python_requires=">=3.10,<3.14",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    entry_points={"console_scripts": [f"gyro-calib = {NAME}.cli.main:main", *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES)]},
+    data_files=data_files(),
+    zip_safe=False,
+    distclass=RosDistribution,
+)

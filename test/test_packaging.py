@@ -70,6 +70,15 @@ def test_package_xml_names_everything_that_is_imported():
     assert keys - depends == set()
 
 
+def test_colcon_reads_what_it_needs_from_setup_py(monkeypatch):
+    """It evaluates the options as literals, and a symlink install has no pyproject.toml."""
+    arguments = setup_arguments(monkeypatch, "develop")
+    assert "requires-python" not in PROJECT["project"]  # setuptools would make an object of it
+    assert {"gyro_calib", "gyro_calib.nodes", "gyro_calib.recording"} <= set(arguments["packages"])
+    options = {key: value for key, value in arguments.items() if key != "distclass"}
+    assert ast.literal_eval(repr(options)) == options
+
+
 def test_pip_extras_cover_everything_that_is_imported():
     project = PROJECT["project"]
     assert set(project["optional-dependencies"]) >= {"ros", "viz", "bags", "fast", "test", "dev"}
@@ -79,8 +88,8 @@ def test_pip_extras_cover_everything_that_is_imported():
     assert {"ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "pytest", "hypothesis", "ruff", "mypy"} <= names
 
 
-def test_entry_points_exist():
-    scripts = PROJECT["project"]["scripts"]
+def test_entry_points_exist(monkeypatch):
+    scripts = dict(line.split(" = ") for line in setup_arguments(monkeypatch, "install")["entry_points"]["console_scripts"])
     assert set(scripts) == {"gyro-calib", *NODES}
     for name, target in scripts.items():
         module, _, function = target.partition(":")

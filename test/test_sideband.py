@@ -79,14 +79,15 @@ def test_slow_flow_matrices_are_recovered_with_phases_and_feedthrough(noisy: tup
     fit = fit_slow_flow(usable_recordings(campaign)[0], device.resonator.decay_rate())
     true = device.slow_flow(RATE)
     sd = np.sqrt(np.diag(fit.covariance))
-    A_sd, G_sd, E_sd, _ = fit.unpack(sd)
+    spread = fit.unpack(sd)
+    A_sd, G_sd, E_sd = spread.A, spread.G, spread.E
     for i in range(2):
         for j in range(2):
             if i != j:  # the diagonal's imaginary part is the resonance itself, a nuisance
-                assert abs((fit.A[i, j] - true.A[i, j]).real) < 4.5 * A_sd[i, j].real
-                assert abs((fit.A[i, j] - true.A[i, j]).imag) < 4.5 * A_sd[i, j].imag
-            assert abs(fit.G[i, j] - true.G[i, j]) < 4.5 * (abs(G_sd[i, j]) + 1e-6 * abs(true.G[0, 0]))
-            assert abs(fit.E[i, j] - true.E[i, j]) < 4.5 * abs(E_sd[i, j])
+                assert abs((fit.values.A[i, j] - true.A[i, j]).real) < 4.5 * A_sd[i, j].real
+                assert abs((fit.values.A[i, j] - true.A[i, j]).imag) < 4.5 * A_sd[i, j].imag
+            assert abs(fit.values.G[i, j] - true.G[i, j]) < 4.5 * (abs(G_sd[i, j]) + 1e-6 * abs(true.G[0, 0]))
+            assert abs(fit.values.E[i, j] - true.E[i, j]) < 4.5 * abs(E_sd[i, j])
     assert 0.5 < fit.chi2 / fit.dof < 2.0
 
 

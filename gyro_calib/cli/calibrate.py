@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .console import print_table, print_warnings, progress_bar, say, write_json
+
+if TYPE_CHECKING:
+    from ..estimation import CalibrationResult
+    from ..recording.recording import Campaign
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write_page(arguments: argparse.Namespace, campaign, result) -> None:  # type: ignore[no-untyped-def]
+def _write_page(arguments: argparse.Namespace, campaign: Campaign, result: CalibrationResult) -> None:
     from ..paths import package_version
     from ..report.calibration_page import RunFacts, calibration_page
     from ..report.page import write_page

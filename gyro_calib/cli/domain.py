@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
-import os
 import random
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import GyroCalibError
@@ -18,7 +17,7 @@ __all__ = ["leased_domain"]
 _DOMAINS = range(60, 102)
 
 
-@contextmanager
+@contextlib.contextmanager
 def leased_domain() -> Iterator[int]:
     """A domain id that no other process has leased; it is free again when the process ends, however it ends.
 
@@ -27,13 +26,14 @@ def leased_domain() -> Iterator[int]:
     GyroCalibError
         All are taken.
     """
-    directory = Path(tempfile.gettempdir()) / f"gyro_calib_domains_{os.getuid()}"
+    directory = Path(tempfile.gettempdir()) / "gyro_calib_ros_domains"
     directory.mkdir(exist_ok=True)
-    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
-        with (directory / str(domain)).open("w") as file:
+    with contextlib.ExitStack() as stack:
+        for domain in random.sample(_DOMAINS, len(_DOMAINS)):
             try:
+                file = stack.enter_context((directory / f"{domain}.lock").open("w"))
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+            except OSError:  # another process, or another user, has it
                 continue
             yield domain
             return

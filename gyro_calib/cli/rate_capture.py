@@ -59,19 +59,17 @@ class RateCapture:
         self._raw.clear()
         self._calibrated.clear()
         while (share := min(map(_span, (self._raw, self._calibrated))) / duration_s) < 1.0:
-            before = len(self._raw), len(self._calibrated)
-            if not self._client.spin_until(lambda old=before: self._grown(old), silence_s):  # type: ignore[misc]
-                raise GyroCalibError(
-                    f"rate_raw and imu/data_raw must both be published, but one was silent for {silence_s:g} s. See the log."
-                )
+            self._wait_for_news(silence_s)
             still_there()
             on_progress(share)
         for subscription in self._subscriptions:
             self._client.node.destroy_subscription(subscription)
         return _captured(self._raw), _captured(self._calibrated)
 
-    def _grown(self, before: tuple[int, int]) -> bool:
-        return len(self._raw) > before[0] and len(self._calibrated) > before[1]
+    def _wait_for_news(self, silence_s: float) -> None:
+        raw, calibrated = len(self._raw), len(self._calibrated)
+        if not self._client.spin_until(lambda: len(self._raw) > raw and len(self._calibrated) > calibrated, silence_s):
+            raise GyroCalibError(f"rate_raw and imu/data_raw must both be published, but one is silent for {silence_s:g} s. See the log.")
 
     def _on_raw(self, message: Any) -> None:
         self._raw.append((_seconds(message), message.twist.angular.z))

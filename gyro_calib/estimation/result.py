@@ -52,7 +52,8 @@ class CalibrationResult:
         Constant input rate during the recordings [rad/s].
     bias, scale_factor : mapping of {"x", "y"} to Quantity
         By oscillator axis, of the feedthrough-free sensor (theory.md Eq. 7, p_y = 0): bias [rad/s], scale factor [V/(rad/s)] at
-        ``amplitude_v``.
+        ``amplitude_v``. With non-orthogonal pick-offs and drive couplings the slope of a real rate channel differs from Eq. 7 by their
+        product (tens of ppm): ``mission`` holds it.
     mission : mapping of {"x", "y"} to MissionChannel
         The same as the device runs: pick-off volts, feedthrough and phase error included, held where its loops hold them.
     parameters : mapping of str to Quantity

@@ -121,7 +121,8 @@ def solve_pickoff_frame(
     nuisance : ndarray, shape (5,)
         Means of the priors of n, rho, r, eps and of the drive-gain ratio, in their standard deviations (zero; moved to propagate them).
     """
-    A, G, _, body = estimate.unpack(vector)
+    values = estimate.unpack(vector)
+    A, G, body = values.A, values.G, values.body
     start = np.array([1.0, 0.0, 0.0, 0.0])
     if body.size:
         start[2] = float(np.angle(np.sum(body[1] * body[0].conj())))
@@ -179,10 +180,10 @@ class Deviations:
     def of(cls, estimate: SlowFlowEstimate, priors: Priors) -> Deviations:
         """From the covariance of the fit."""
         sd = np.sqrt(np.diag(estimate.covariance))
-        A_sd = estimate.unpack(sd)[0]
-        frequency = math.hypot(A_sd[1, 0].imag, A_sd[0, 1].imag)
-        G, G_sd = estimate.G, estimate.unpack(sd)[1]
+        G, spread = estimate.values.G, estimate.unpack(sd)
+        frequency = math.hypot(spread.A[1, 0].imag, spread.A[0, 1].imag)
+        G_sd = spread.G
         gain = math.hypot(abs(G_sd[1, 1].imag / G[1, 1]), abs(G_sd[0, 0].imag / G[0, 0]))
-        body_sd = np.abs(estimate.unpack(sd)[3]) / np.maximum(np.abs(estimate.body), 1e-300)
+        body_sd = np.abs(spread.body) / np.maximum(np.abs(estimate.values.body), 1e-300)
         body = tuple(max(float(math.hypot(*body_sd[:, k])) / math.sqrt(2.0), 1e-9) for k in range(body_sd.shape[1]))
         return cls(max(frequency, 1e-12), body, max(math.hypot(gain, priors.drive_ratio), 1e-9))

@@ -99,7 +99,8 @@ class _Problem:
 
     def derive(self, vector: FloatArray, nuisance: FloatArray) -> _Derived:
         """Rate, bias, scale factors, … of a parameter vector; ``nuisance`` are the priors' means in standard deviations."""
-        A, G, E, _ = self.fit.unpack(vector)
+        v = self.fit.unpack(vector)
+        A, G, E = v.A, v.G, v.E
         frame = solve_pickoff_frame(self.fit, vector, self.deviations, self.drive_ratio, self.priors, nuisance)
         rate = input_rate_times_kappa(A, frame) / self.kappa
         response = angular_response(frame, self.kappa)
@@ -107,16 +108,22 @@ class _Problem:
         bare = frame.without_phase(at_rest)
         symmetric = bare @ frame.metric
         named: dict[str, float] = {"rate": rate}
-        for axis in _AXIS:
-            bias, slope = _line(at_rest, response, G, np.zeros((2, 2), dtype=complex), None, self.amplitude, axis)
-            named[f"bias_{axis}"], named[f"scale_{axis}"] = bias / slope, slope
+        for axis, osc in _AXIS.items():
+            # at the operating amplitude the cubic terms add to the column of the oscillator
+            running = at_rest.copy()
+            running[:, osc] += v.cubic[:, osc] * self.amplitude**2
+            point = ftr_operating_point(running, G, np.zeros((2, 2), dtype=complex), self.amplitude, axis)
+            gain = abs(G[1 - osc, 1 - osc])
+            slope = self.kappa * self.amplitude * (frame.ratio / gain if axis == "x" else -1.0 / (frame.ratio * gain))
+            named[f"bias_{axis}"], named[f"scale_{axis}"] = point.rate_channel_v / slope, slope
             named[f"mission_bias_{axis}"], named[f"mission_scale_{axis}"] = _line(
-                at_rest, response, G, E, self.volts[axis], self.amplitude, axis
+                running, response, G, E, self.volts[axis], self.amplitude, axis
             )
         named |= {"pickoff_ratio": frame.ratio, "pickoff_phase": frame.phase_rad, "pickoff_non_orthogonality": 0.5 * frame.skew}
         named["cross_damping"] = -float(symmetric[0, 1].real + symmetric[1, 0].real) / frame.ratio
         named["cross_stiffness"] = self.fit.omega0_rad_s * float(symmetric[0, 1].imag + symmetric[1, 0].imag) / frame.ratio
-        for matrix, name in ((A, "A"), (G, "G"), (E, "E")):
+        matrices = [(A, "A"), (G, "G"), (E, "E")] + ([(v.cubic, "cubic")] if self.fit.has_cubic else [])
+        for matrix, name in matrices:
             for i, row in enumerate("xy"):
                 for j, column in enumerate("xy"):
                     named[f"{name}_{row}{column}_re"] = float(matrix[i, j].real)
@@ -188,7 +195,7 @@ class _Problem:
         """White rate noise of the closed axis: the residual's force noise over the rate's own effect on it."""
         closed = "y" if oscillator == "x" else "x"
         model = self.fit.noise.get((closed, "closed", "re"))
-        gain = abs(self.fit.G[_AXIS[closed], _AXIS[closed]])
+        gain = abs(self.fit.values.G[_AXIS[closed], _AXIS[closed]])
         two_sided = model.coefficients[0] if model is not None else math.nan
         density = math.sqrt(2.0 * two_sided) / (gain * scale)
         return Quantity(density, 0.1 * density, "rad/s/sqrt(Hz)")
@@ -217,6 +224,10 @@ class _Problem:
             warnings.append(
                 f"the linear model leaves chi-square/dof {reduced:.1f}: an effect is missing from it; standard deviations are scaled, "
                 "diagnose the gap before trusting them"
+            )
+        if self.fit.has_cubic:
+            warnings.append(
+                f"cubic terms were needed (chi-square falls by {self.fit.cubic_gain:.0f}): a nonlinearity is part of this estimate"
             )
         if skipped:
             warnings.append("left out: " + "; ".join(skipped))
@@ -284,6 +295,8 @@ def _convergence(
 def _unit(name: str) -> str:
     if name.startswith("E_") or name in ("pickoff_ratio",):
         return "1"
+    if name.startswith("cubic_"):
+        return "1/(s V^2)"
     if name.startswith("G_"):
         return "1/s"
     return {"pickoff_phase": "rad", "pickoff_non_orthogonality": "rad", "cross_stiffness": "1/s^2"}.get(name, "1/s")

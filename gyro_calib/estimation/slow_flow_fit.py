@@ -7,24 +7,27 @@ resonance (feedthrough) and body excitation (pick-off phase) enter one weighted 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
 
 from ..errors import CalibrationRefused
 from ..recording.recording import Campaign, Recording
 from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noise
 from .projection import Projected, project
 
-__all__ = ["SlowFlowEstimate", "TableRow", "fit_slow_flow", "usable_recordings"]
+__all__ = ["SlowFlowEstimate", "SlowFlowParameters", "TableRow", "fit_slow_flow", "usable_recordings"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 #: recordings further than this from the median temperature are left out of the fit [K]
 TEMPERATURE_WINDOW_K = 0.5
-_ROUNDS = 3
+_ROUNDS = 2
+#: real cubic parameters of both axes
+_CUBIC_TERMS = 8
 
 
 @dataclass(frozen=True)
@@ -53,20 +56,41 @@ class TableRow:
 
 
 @dataclass(frozen=True)
+class SlowFlowParameters:
+    """One set of values of the slow flow.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+        [1/s], [1/s], dimensionless.
+    body : ndarray, shape (2, k), complex
+        Response to one volt of body excitation at each of k frequencies [1/s].
+    cubic : ndarray, shape (2, 2), complex
+        ``c`` of ``c[:, j] |V_j|^2 V_j`` [1/(s V^2)]; zero when not fitted. Diagonal: imaginary Duffing, real nonlinear damping;
+        off the diagonal: cubic cross stiffness and cross damping (document 000, Eqs. 22-27).
+    """
+
+    A: ComplexArray
+    G: ComplexArray
+    E: ComplexArray
+    body: ComplexArray
+    cubic: ComplexArray
+
+
+@dataclass(frozen=True)
 class SlowFlowEstimate:
     """What the recordings say of the slow flow about ``omega0_rad_s`` at ``temperature_degc``.
 
     Parameters
     ----------
-    A, G, E : ndarray, shape (2, 2), complex
-        [1/s], [1/s], dimensionless. ``A`` includes the constant input rate.
-    body : ndarray, shape (2, k), complex
-        Response of each pick-off to one volt of body excitation [1/s], one column per excitation frequency (k may be 0): how strongly the
-        body answers may depend on frequency, the ratio of the pick-offs does not.
+    values : SlowFlowParameters
+        Best estimate; ``A`` includes the constant input rate.
     covariance : ndarray, shape (n, n)
         Of the real parameter vector, see :meth:`vector`.
-    has_feedthrough : bool
-        E was measured; otherwise it is taken as zero.
+    has_feedthrough, has_cubic : bool
+        E was measured (otherwise zero); the cubic terms were fitted (otherwise zero).
+    cubic_gain : float
+        How much chi-square the four cubic terms of both axes take away (0 when they were not tried).
     omega0_rad_s, temperature_degc, temperature_sd_k : float
         Operating point.
     chi2, dof, condition_number : float
@@ -77,12 +101,11 @@ class SlowFlowEstimate:
         The data table.
     """
 
-    A: ComplexArray
-    G: ComplexArray
-    E: ComplexArray
-    body: ComplexArray
+    values: SlowFlowParameters
     covariance: FloatArray
     has_feedthrough: bool
+    has_cubic: bool
+    cubic_gain: float
     omega0_rad_s: float
     temperature_degc: float
     temperature_sd_k: float
@@ -93,22 +116,26 @@ class SlowFlowEstimate:
     table: tuple[TableRow, ...]
 
     def vector(self) -> FloatArray:
-        """Real parameters per axis: A_ax, A_ay, G~_ax, G~_ay, (E_ax, E_ay), (H_a, one per body frequency), each (re, im); G~ = G - A E."""
-        reduced = self.G - self.A @ self.E
-        parts: list[complex] = []
-        for a in range(2):
-            parts += [*self.A[a], *reduced[a]]
-            if self.has_feedthrough:
-                parts += [*self.E[a]]
-            parts += [*self.body[a]]
-        return np.array(parts, dtype=complex).view(np.float64)
+        """Real parameters per axis: A_ax, A_ay, G~_ax, G~_ay, (E_ax, E_ay), (H_a per body frequency), (c_ax, c_ay), each (re, im)."""
+        v = self.values
+        parts = [v.A, v.G - v.A @ v.E]
+        if self.has_feedthrough:
+            parts.append(v.E)
+        parts.append(v.body)
+        if self.has_cubic:
+            parts.append(v.cubic)
+        return np.ascontiguousarray(np.hstack(parts)).view(np.float64).ravel()
 
-    def unpack(self, vector: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-        """A, G, E, body of a real parameter vector."""
+    def unpack(self, vector: FloatArray) -> SlowFlowParameters:
+        """Values of a real parameter vector."""
         parts = np.ascontiguousarray(vector).view(np.complex128).reshape(2, -1)
-        A, reduced = parts[:, 0:2], parts[:, 2:4]
-        E = parts[:, 4:6] if self.has_feedthrough else np.zeros((2, 2), dtype=complex)
-        return A, reduced + A @ E, E, parts[:, 4 + 2 * int(self.has_feedthrough) :]
+        A, reduced, rest = parts[:, 0:2], parts[:, 2:4], parts[:, 4:]
+        E = cubic = np.zeros((2, 2), dtype=complex)
+        if self.has_feedthrough:
+            E, rest = rest[:, :2], rest[:, 2:]
+        if self.has_cubic:
+            rest, cubic = rest[:, :-2], rest[:, -2:]
+        return SlowFlowParameters(A, reduced + A @ E, E, rest, cubic)
 
 
 def usable_recordings(campaign: Campaign) -> tuple[list[Recording], list[str]]:
@@ -130,8 +157,8 @@ def usable_recordings(campaign: Campaign) -> tuple[list[Recording], list[str]]:
     return chosen, skipped
 
 
-def fit_slow_flow(recordings: list[Recording], decay_rate: float) -> SlowFlowEstimate:
-    """Fit A, G, E and the body response.
+def fit_slow_flow(recordings: list[Recording], decay_rate: float, *, cubic: bool | None = None) -> SlowFlowEstimate:
+    """Fit A, G, E, the body response and, when the data ask for them, the cubic terms.
 
     Parameters
     ----------
@@ -139,6 +166,9 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float) -> SlowFlowEst
         From :func:`usable_recordings`.
     decay_rate : float
         Rough 1/tau [1/s] (only the small second-order terms use it).
+    cubic : bool, optional
+        Fit the cubic terms of document 000, Eqs. 20-27. Default: when three or more amplitudes were recorded and the terms take away more
+        chi-square than chance does once in a thousand campaigns (F test).
 
     Raises
     ------
@@ -151,38 +181,91 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float) -> SlowFlowEst
                 f"Recordings must include mode {mode}, but got {', '.join(sorted({r.command.mode for r in recordings})) or 'none'}. "
                 "Both axes must be the oscillator once: record the same side bands with the axes swapped."
             )
-    loops = [r for r in recordings if r.command.oscillator_axis]
-    omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in loops]))
-    has_feedthrough = any(r.command.excitation.kind == "drive" for r in recordings)
-    bodies = sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})
-    signal = [project(r, _lines(r), omega0, decay_rate) for r in recordings]
-    quiet = [project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings]
+    data = _Data.of(recordings, decay_rate)
+    if cubic is None:
+        plain = _fit(data, cubic=False)
+        amplitudes = {round(r.command.setpoints.amplitude_v, 9) for r in recordings if r.command.oscillator_axis}
+        if len(amplitudes) < 3:
+            return plain
+        # both fits are weighed with the noise of the richer one: the poorer one's misfit leaks into its own noise estimate
+        rich = _fit(data, cubic=True)
+        poor = _fit(data, cubic=False, noise=rich.noise)
+        gain = poor.chi2 - rich.chi2
+        ratio = (gain / _CUBIC_TERMS) / (rich.chi2 / max(rich.dof, 1))
+        asked = ratio > f_distribution.isf(1e-3, _CUBIC_TERMS, max(rich.dof, 1))
+        return replace(rich if asked else plain, cubic_gain=gain)
+    return _fit(data, cubic=cubic)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Projected recordings at the lines of interest and at quiet lines."""
+
+    recordings: list[Recording]
+    omega0: float
+    has_feedthrough: bool
+    bodies: list[float]
+    signal: list[Projected]
+    quiet: list[Projected]
+
+    @classmethod
+    def of(cls, recordings: list[Recording], decay_rate: float) -> _Data:
+        omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in recordings if r.command.oscillator_axis]))
+        return cls(
+            recordings=recordings,
+            omega0=omega0,
+            has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
+            bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
+            signal=[project(r, _lines(r), omega0, decay_rate) for r in recordings],
+            quiet=[project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings],
+        )
+
+    def columns(self, projected: list[Projected], *, cubic: bool) -> list[ComplexArray]:
+        """Regressors of every recording: V, u, L[u] when E is sought, the body's volts by frequency, |V|^2 V when asked."""
+        columns = []
+        for p, r in zip(projected, self.recordings, strict=True):
+            parts = [p.pick, p.drive]
+            if self.has_feedthrough:
+                parts.append(p.drive_rate)
+            parts += [(p.body * (r.command.excitation.frequency_hz == f))[:, None] for f in self.bodies]
+            if cubic:
+                parts.append(p.cubic)
+            columns.append(np.hstack(parts))
+        return columns
+
+
+def _fit(data: _Data, *, cubic: bool, noise: dict[tuple[str, str, str], NoiseModel] | None = None) -> SlowFlowEstimate:
+    """Both axes, with the noise measured along the way or given."""
+    columns, quiet_columns = data.columns(data.signal, cubic=cubic), data.columns(data.quiet, cubic=cubic)
     fits: list[LinearFit] = []
-    noise: dict[tuple[str, str, str], NoiseModel] = {}
+    found: dict[tuple[str, str, str], NoiseModel] = dict(noise or {})
     for axis in range(2):
-        columns = [_columns(p, r, has_feedthrough, bodies) for p, r in zip(signal, recordings, strict=True)]
-        quiet_columns = [_columns(p, r, has_feedthrough, bodies) for p, r in zip(quiet, recordings, strict=True)]
-        roles = [_role(r, axis) for r in recordings]
-        fit: LinearFit | None = None
-        models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in set(roles) for part in ("re", "im")}
-        for _ in range(_ROUNDS):
-            equations = [
-                Equation(
-                    lhs=p.lhs[:, axis],
-                    regressors=c,
-                    gram=p.gram,
-                    sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
-                    sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
-                    detuning=p.pick[:, axis] if role == "oscillator" else None,
-                )
-                for p, c, role in zip(signal, columns, roles, strict=True)
-            ]
-            fit = fit_axis(equations)
-            models = _measure_noise(quiet, quiet_columns, roles, recordings, axis, fit.coefficients)
-        assert fit is not None
+        roles = [_role(r, axis) for r in data.recordings]
+        flat = NoiseModel((1.0, 0.0, 0.0), 0.01)
+        models = {(role, part): found.get((AXES[axis], role, part), flat) for role in set(roles) for part in ("re", "im")}
+        fit = fit_axis(_equations(data, columns, roles, axis, models))
+        for _ in range(0 if noise else _ROUNDS):
+            models = _measure_noise(data, quiet_columns, roles, axis, fit.coefficients)
+            fit = fit_axis(_equations(data, columns, roles, axis, models))
         fits.append(fit)
-        noise |= {(AXES[axis], role, part): model for (role, part), model in models.items()}
-    return _assemble(recordings, signal, fits, noise, omega0, has_feedthrough)
+        found |= {(AXES[axis], role, part): model for (role, part), model in models.items()}
+    return _assemble(data, fits, found, cubic=cubic)
+
+
+def _equations(
+    data: _Data, columns: list[ComplexArray], roles: list[str], axis: int, models: dict[tuple[str, str], NoiseModel]
+) -> list[Equation]:
+    return [
+        Equation(
+            lhs=p.lhs[:, axis],
+            regressors=c,
+            gram=p.gram,
+            sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
+            sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
+            detuning=p.pick[:, axis] if role == "oscillator" else None,
+        )
+        for p, c, role in zip(data.signal, columns, roles, strict=True)
+    ]
 
 
 def _is_open(recording: Recording) -> bool:
@@ -214,60 +297,56 @@ def _quiet_lines(recording: Recording) -> list[float]:
     return [float(f) for f in free]
 
 
-def _columns(p: Projected, recording: Recording, has_feedthrough: bool, bodies: list[float]) -> ComplexArray:
-    """Regressors of one recording: V, u, L[u] when E is sought, and the body's volts in the column of its frequency."""
-    parts = [p.pick, p.drive]
-    if has_feedthrough:
-        parts.append(p.drive_rate)
-    parts += [(p.body * (recording.command.excitation.frequency_hz == f))[:, None] for f in bodies]
-    return np.hstack(parts)
-
-
 def _measure_noise(
-    quiet: list[Projected],
-    columns: list[ComplexArray],
-    roles: list[str],
-    recordings: list[Recording],
-    axis: int,
-    coefficients: ComplexArray,
+    data: _Data, columns: list[ComplexArray], roles: list[str], axis: int, coefficients: ComplexArray
 ) -> dict[tuple[str, str], NoiseModel]:
     models = {}
     for role in set(roles):
         members = [i for i, r in enumerate(roles) if r == role]
-        residual = np.concatenate([quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in members])
-        lines = np.concatenate([quiet[i].frequency_hz for i in members])
-        lowest = 0.3 / max(recordings[i].duration_s for i in members)
+        residual = np.concatenate([data.quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in members])
+        lines = np.concatenate([data.quiet[i].frequency_hz for i in members])
+        lowest = 0.3 / max(data.recordings[i].duration_s for i in members)
         models[role, "re"] = fit_noise(lines, residual.real**2, lowest)
         models[role, "im"] = fit_noise(lines, residual.imag**2, lowest)
     return models
 
 
-def _assemble(
-    recordings: list[Recording],
-    signal: list[Projected],
-    fits: list[LinearFit],
-    noise: dict[tuple[str, str, str], NoiseModel],
-    omega0: float,
-    has_feedthrough: bool,
-) -> SlowFlowEstimate:
-    values = np.array([f.coefficients for f in fits])
-    A, reduced = values[:, 0:2], values[:, 2:4]
-    E = values[:, 4:6] if has_feedthrough else np.zeros((2, 2), dtype=complex)
+def _assemble(data: _Data, fits: list[LinearFit], noise: dict[tuple[str, str, str], NoiseModel], *, cubic: bool) -> SlowFlowEstimate:
+    vector = np.concatenate([f.coefficients for f in fits]).view(np.float64)
     size = fits[0].covariance.shape[0]
     covariance = np.zeros((2 * size, 2 * size))
     covariance[:size, :size], covariance[size:, size:] = fits[0].covariance, fits[1].covariance
-    temperatures = np.array([r.temperature_degc.mean() for r in recordings])
+    temperatures = np.array([r.temperature_degc.mean() for r in data.recordings])
+    blank = SlowFlowParameters(*(np.zeros((2, 2), dtype=complex) for _ in range(5)))
+    estimate = SlowFlowEstimate(
+        values=blank,
+        covariance=covariance,
+        has_feedthrough=data.has_feedthrough,
+        has_cubic=cubic,
+        cubic_gain=0.0,
+        omega0_rad_s=data.omega0,
+        temperature_degc=float(temperatures.mean()),
+        temperature_sd_k=float(temperatures.std()),
+        chi2=sum(f.chi2 for f in fits),
+        dof=sum(f.dof for f in fits),
+        condition_number=max(f.condition_number for f in fits),
+        noise=noise,
+        table=tuple(_table(data, fits, noise)),
+    )
+    return replace(estimate, values=estimate.unpack(vector))
+
+
+def _table(data: _Data, fits: list[LinearFit], noise: dict[tuple[str, str, str], NoiseModel]) -> list[TableRow]:
     table = []
-    for i, (r, p) in enumerate(zip(recordings, signal, strict=True)):
+    for i, (r, p) in enumerate(zip(data.recordings, data.signal, strict=True)):
         for f in np.unique(p.frequency_hz):
             own = p.frequency_hz == f
             sd = [
                 math.sqrt(0.5 * sum(float(noise[AXES[a], _role(r, a), part].density(np.array([f]))[0]) for part in ("re", "im")))
                 for a in range(2)
             ]
-            line = [_phasor(q[own]) for q in (p.pick, p.drive)]
+            pick, drive = (_phasor(q[own]) for q in (p.pick, p.drive))
             left = [_phasor(fits[a].residuals[i][own][:, None])[0] for a in range(2)]
-            pick, drive = line
             table.append(
                 TableRow(
                     label=r.label,
@@ -279,22 +358,7 @@ def _assemble(
                     sd=(sd[0], sd[1]),
                 )
             )
-    return SlowFlowEstimate(
-        A=A,
-        G=reduced + A @ E,
-        E=E,
-        body=values[:, 4 + 2 * int(has_feedthrough) :],
-        covariance=covariance,
-        has_feedthrough=has_feedthrough,
-        omega0_rad_s=omega0,
-        temperature_degc=float(temperatures.mean()),
-        temperature_sd_k=float(temperatures.std()),
-        chi2=sum(f.chi2 for f in fits),
-        dof=sum(f.dof for f in fits),
-        condition_number=max(f.condition_number for f in fits),
-        noise=noise,
-        table=tuple(table),
-    )
+    return table
 
 
 def _phasor(projected: ComplexArray) -> list[complex]:

@@ -162,8 +162,9 @@ def status_message(
     if problem:
         sentences.append(problem)
         level = max(level, DiagnosticStatus.WARN)
-    message = DiagnosticStatus(level=level, name=name, hardware_id=device_id, message=" ".join(sentences))
-    message.values = key_values({**status_values(status), **facts})
+    text = " ".join(sentences)
+    message = DiagnosticStatus(level=level, name=name, hardware_id=device_id, message=text)
+    message.values = key_values({**status_values(status), "message": text, **facts})
     return message
 
 

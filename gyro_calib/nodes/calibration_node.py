@@ -21,33 +21,28 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from diagnostic_msgs.srv import SelfTest
-from geometry_msgs.msg import TwistWithCovarianceStamped, Vector3Stamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import Bool, Float64MultiArray
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from ..calibration.record import CalibrationRecord
 from ..errors import DataError, GyroCalibError, StoreError
 from .calibration_in_force import CalibrationInForce
-from .calibration_messages import (
-    bias_message,
-    calibration_message,
-    compensation_message,
-    scale_factor_message,
-    self_test_response,
-    status_message,
-)
+from .calibration_messages import self_test_response, status_message
 from .calibration_parameters import check_parameters, declare_parameters, read_parameters
 from .calibration_runs import RUNS, CalibrationRun, KeptRecordings
+from .calibration_topics import CalibrationTopics
 from .gyro_client import GyroClient
 from .gyro_watch import GyroFacts, GyroWatch, MonitoredInstrument
 from .run_manager import Outcome, Reply, RunHandle, RunManager, RunState, RunStatus
@@ -60,7 +55,7 @@ _DIAGNOSTICS_S = 1.0
 #: progress inside a step is told this often [s]
 _HEARTBEAT_S = 0.5
 #: a driver that answers later than this is asked again [s]
-_WATCH_TIMEOUT_S = 3.0
+_WATCH_TIMEOUT_S = 2.0
 #: a run that is told to stop puts its gyro back; this is all it gets when the process ends [s]
 _CLOSE_S = 15.0
 
@@ -80,7 +75,6 @@ class CalibrationNode(Node):
         self.add_on_set_parameters_callback(check_parameters)
         self._publish_lock = threading.Lock()
         self._said: DiagnosticStatus | None = None
-        self._published: tuple[Any, ...] | None = None
         #: the device whose records are kept, the one that the driver reports, and why that is not the same
         self._bound = self._present = self._refusal = ""
         self._work: CalibrationRun | None = None
@@ -97,6 +91,7 @@ class CalibrationNode(Node):
         )
         self._client = GyroClient(self, settings.gyro_node, timeout_s=_WATCH_TIMEOUT_S)
         self._watch = GyroWatch(self._client.get, self._on_gyro)
+        self._channels = self.resolve_topic_name("channels")
         self._make_services()
         if settings.device_id:
             self._bind(settings.device_id)
@@ -105,21 +100,9 @@ class CalibrationNode(Node):
         self._watch.start()
 
     def _make_topics(self) -> None:
-        self._bias = self.create_publisher(TwistWithCovarianceStamped, "~/bias", LATCHED_QOS)
-        self._scale_factor = self.create_publisher(Vector3Stamped, "~/scale_factor", LATCHED_QOS)
-        self._compensation = self.create_publisher(Float64MultiArray, "~/compensation", LATCHED_QOS)
-        self._is_calibrated = self.create_publisher(Bool, "~/is_calibrated", LATCHED_QOS)
-        self._calibration = self.create_publisher(DiagnosticArray, "~/calibration", LATCHED_QOS)
+        self._topics = CalibrationTopics(self, self._settings.frame_id)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", LATCHED_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-
-    def _make_services(self) -> None:
-        for name in RUNS:
-            self.create_service(Trigger, f"~/{name}", partial(self._answer_run, name))
-        self.create_service(Trigger, "~/cancel", self._answer_cancel)
-        self.create_service(Trigger, "~/save", self._answer_save)
-        self.create_service(Trigger, "~/revert", self._answer_revert)
-        self.create_service(SelfTest, "~/self_test", self._answer_self_test)
         # a steady clock: with use_sim_time and no /clock the node's own stands still, and that is what is to be reported
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DIAGNOSTICS_S, self._publish_diagnostics, clock=steady)
@@ -127,12 +110,26 @@ class CalibrationNode(Node):
 
     # -- services: each answers at once ---------------------------------------------------------------------------------------------
 
-    def _answer_run(self, name: str, _: Any, response: Any) -> Any:
+    def _make_services(self) -> None:
+        actions: dict[str, Callable[[], Reply]] = {name: partial(self._request, name) for name in RUNS}
+        actions |= {"cancel": self._runs.cancel, "save": self._save, "revert": self._revert}
+        for name, action in actions.items():
+            self.create_service(Trigger, f"~/{name}", partial(self._answer, name, action))
+        self.create_service(SelfTest, "~/self_test", self._answer_self_test)
+
+    def _answer(self, name: str, action: Callable[[], Reply], _: Any, response: Any) -> Any:
         try:
-            reply = self._request(name)
+            reply = action()
         except GyroCalibError as error:
             reply = Reply(False, f"refused {name}: {error}")
-        return self._answer(response, reply)
+        except Exception as error:  # an exception that leaves a callback would end the node, and the run with it
+            reply = Reply(
+                False, f"refused {name}: internal error, {type(error).__name__}: {error}. Please report it with the log of this node."
+            )
+            self.get_logger().error(traceback.format_exc())
+        self._log(RunState.DONE if reply.accepted else RunState.CANCELLED, reply.message)
+        response.success, response.message = reply.accepted, reply.message
+        return response
 
     def _request(self, name: str) -> Reply:
         if (refused := self._runs.refusal(name)) is not None:
@@ -140,7 +137,10 @@ class CalibrationNode(Node):
         facts = self._ready()
         settings = read_parameters(self)
         kind = RUNS[name]
-        plan = kind.plan(facts.factory, quality=settings.plan_quality, limits=settings.limits)
+        try:
+            plan = kind.plan(facts.factory, quality=settings.plan_quality, limits=settings.limits)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise DataError(f"Factory data of the gyro must be usable, but got {facts.factory!r} ({error}). Correct the driver.") from error
         work = CalibrationRun(
             self._instrument,
             kind,
@@ -148,6 +148,7 @@ class CalibrationNode(Node):
             kept=self._kept,
             confirm=lambda: self._confirm(facts.device_id),
             adopt=partial(self._in_force.adopt, save=settings.autosave),
+            artifacts=Path(settings.artifacts_dir).expanduser() if settings.artifacts_dir else None,
         )
         reply = self._runs.request(name, partial(self._carry_out, facts.device_id, work))
         if not reply.accepted:
@@ -168,40 +169,25 @@ class CalibrationNode(Node):
         if (age_s := self._instrument.recent.age_s) > settings.stream_timeout_s:
             since = f"none came for {age_s:.1f} s" if math.isfinite(age_s) else "none has come"
             raise DataError(f"Stream of the gyro must deliver blocks, but {since}. Check that the gyro runs, then call again.")
-        if rivals := self._rivals():
-            raise DataError(
-                f"One node must calibrate a gyro, but there are {rivals + 1} named {self.get_fully_qualified_name()}. Stop the others."
-            )
+        self._refuse_company()
         return facts
 
-    def _rivals(self) -> int:
-        """Other nodes of the same full name."""
+    def _refuse_company(self) -> None:
+        """One calibration node and one stream to a gyro; what died a moment ago still counts until discovery forgets it."""
         own = (self.get_name(), self.get_namespace())
-        return max(self.get_node_names_and_namespaces().count(own) - 1, 0)
+        if (nodes := self.get_node_names_and_namespaces().count(own)) > 1:
+            name = self.get_fully_qualified_name()
+            raise DataError(f"One node must calibrate a gyro, but {nodes} are named {name}. Stop the others and wait 30 s.")
+        if (streams := self.count_publishers(self._channels)) > 1:
+            raise DataError(f"One gyro must publish {self._channels}, but {streams} do. Give each gyro a namespace of its own.")
 
-    def _answer_cancel(self, _: Any, response: Any) -> Any:
-        return self._answer(response, self._runs.cancel())
+    def _save(self) -> Reply:
+        return Reply(True, self._in_force.save())
 
-    def _answer_save(self, _: Any, response: Any) -> Any:
-        try:
-            reply = Reply(True, self._in_force.save())
-        except StoreError as error:
-            reply = Reply(False, f"not saved: {error}")
-        return self._answer(response, reply)
-
-    def _answer_revert(self, _: Any, response: Any) -> Any:
-        try:
-            if self._runs.busy:
-                raise StoreError(f"Run {self._runs.status.run_id} is in progress. Wait for it to end or cancel it.")
-            reply = Reply(True, self._in_force.revert())
-        except StoreError as error:
-            reply = Reply(False, f"not reverted: {error}")
-        return self._answer(response, reply)
-
-    def _answer(self, response: Any, reply: Reply) -> Any:
-        self._log(RunState.DONE if reply.accepted else RunState.CANCELLED, reply.message)
-        response.success, response.message = reply.accepted, reply.message
-        return response
+    def _revert(self) -> Reply:
+        if self._runs.busy:
+            raise StoreError(f"Run {self._runs.status.run_id} is in progress. Wait for it to end or cancel it.")
+        return Reply(True, self._in_force.revert())
 
     def _answer_self_test(self, _: Any, response: Any) -> Any:
         facts, recent, store = self._watch.facts, self._instrument.recent, self._in_force.store
@@ -281,20 +267,8 @@ class CalibrationNode(Node):
         return record is not None and record.device_id == (self._present or self._bound)
 
     def _on_calibration(self) -> None:
-        """Publish what is in force, unless that is what was published last."""
-        with self._publish_lock:
-            record, problem = self._in_force.record, self._in_force.problem
-            news = (record, self._bound, problem, self._calibrated(record))
-            if news == self._published:
-                return
-            self._published = news
-            stamp, frame = self.get_clock().now().to_msg(), self._settings.frame_id
-            if record is not None:
-                self._bias.publish(bias_message(record, stamp, frame))
-                self._scale_factor.publish(scale_factor_message(record, stamp, frame))
-                self._compensation.publish(compensation_message(record))
-            self._calibration.publish(calibration_message(record, stamp, device_id=self._bound, reason=problem))
-            self._is_calibrated.publish(Bool(data=self._calibrated(record)))
+        record, problem = self._in_force.record, self._in_force.problem
+        self._topics.publish(record, device_id=self._bound, is_calibrated=self._calibrated(record), reason=problem)
         self._publish_status()
 
     def _publish_status(self) -> None:
@@ -338,9 +312,9 @@ class CalibrationNode(Node):
 
     def _problems(self, status: RunStatus, silent: bool) -> list[str]:
         """What is wrong outside a run; while one is on its way, it says itself what is."""
-        found = [self._refusal, self._in_force.problem]
+        found = [self._refusal]
         if not status.state.busy:
-            found.append(self._watch.problem)
+            found += [self._in_force.problem, self._watch.problem]
             command = self._watch.facts.command if self._watch.facts is not None else None
             if silent and not self._watch.problem:
                 found.append(f"No block came for {self._settings.stream_timeout_s:g} s: check that the gyro runs.")
@@ -374,19 +348,15 @@ def main(args: Sequence[str] | None = None) -> int:
     rclpy's own signal handlers would shut the context down at once, and the gyro with it out of reach; hence none of them.
     """
     rclpy.init(args=None if args is None else ["", *args], signal_handler_options=SignalHandlerOptions.NO)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     node: CalibrationNode | None = None
     executor: Any = None
+    quiet: Future = Future()
     try:
         node = CalibrationNode()
         executor = make_executor()
         executor.add_node(node)
-        spin(executor, stop.is_set)
-        closer = threading.Thread(target=node.close, name="close", daemon=True)
-        closer.start()
-        spin(executor, lambda: not closer.is_alive())
+        _close_on_signal(node, quiet)
+        spin(executor, quiet)
         return 0
     except (GyroCalibError, rclpy.exceptions.InvalidParameterTypeException, rclpy.exceptions.InvalidParameterValueException) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
@@ -397,6 +367,23 @@ def main(args: Sequence[str] | None = None) -> int:
                 executor.remove_node(node)
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _close_on_signal(node: CalibrationNode, quiet: Future) -> None:
+    """On a signal close the node in another thread, its callbacks still served, and then finish ``quiet``; later signals change nothing."""
+    ending = threading.Event()
+
+    def close() -> None:
+        node.close()
+        quiet.set_result(None)
+
+    def end(*_: object) -> None:
+        if not ending.is_set():
+            ending.set()
+            threading.Thread(target=close, name="close", daemon=True).start()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
 
 
 if __name__ == "__main__":

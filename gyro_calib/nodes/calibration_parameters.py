@@ -30,6 +30,7 @@ class CalibrationSettings:
     base_rate_limit_rad_s: float
     plan_quality: str
     autosave: bool
+    artifacts_dir: str
 
     @property
     def limits(self) -> Limits:
@@ -68,6 +69,7 @@ def declare_parameters(node: Any) -> CalibrationSettings:
     )
     node.declare_parameter("plan_quality", "standard", describe(f"Durations of the next runs, one of {qualities}"))
     node.declare_parameter("autosave", True, describe("Store the record of a successful run at once; otherwise ~/save does"))
+    node.declare_parameter("artifacts_dir", "", describe("Folder for the recordings of each run, <run id>/campaign.h5; empty: not kept"))
     settings = read_parameters(node)
     _check_quality(settings.plan_quality)
     return settings

@@ -10,15 +10,17 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ..calibration import record_from_result
 from ..calibration.record import CalibrationRecord
-from ..errors import ExperimentAborted
+from ..errors import ExperimentAborted, GyroCalibError
 from ..estimation import calibrate
 from ..experiments import Instrument, Plan, Progress, feedthrough_plan, run_plan, self_calibration_plan, sideband_plan
 from ..quantity import Quantity
 from ..recording.command import Command
+from ..recording.hdf5 import write_campaign_h5
 from ..recording.recording import Campaign, Recording
 from ..units import DEG_H, deg_h
 from .run_manager import Outcome, RunHandle
@@ -90,6 +92,8 @@ class CalibrationRun:
         Raises when the gyro is not any more the one that the run began with; asked before the result is put in force.
     adopt : callable of CalibrationRecord
         Stores the record and puts it in force, or raises and changes nothing.
+    artifacts : Path, optional
+        Folder in which ``<run id>/campaign.h5`` keeps the recordings; None keeps none.
     """
 
     def __init__(
@@ -101,10 +105,11 @@ class CalibrationRun:
         kept: KeptRecordings,
         confirm: Callable[[], None],
         adopt: Callable[[CalibrationRecord], None],
+        artifacts: Path | None = None,
     ) -> None:
         self._instrument = _Watched(instrument)
         self._kind, self._plan, self._kept = kind, plan, kept
-        self._confirm, self._adopt = confirm, adopt
+        self._confirm, self._adopt, self._artifacts = confirm, adopt, artifacts
         self._run: RunHandle | None = None
         self._progress: Progress | None = None
         self._started_s = 0.0
@@ -112,11 +117,14 @@ class CalibrationRun:
     def __call__(self, run: RunHandle) -> Outcome:
         """Carry the run out; see :class:`CalibrationRun` for what it changes and when."""
         campaign = self._record(run)
+        if self._kind.estimates:
+            campaign = self._kept.before(campaign)
+        self._write(run, campaign)
         if not self._kind.estimates:
             run.commit()
             self._kept.keep(campaign)
             return Outcome(f"{len(campaign)} recordings kept for the next run_sideband.", _duration(campaign))
-        record = self._estimate(run, self._kept.before(campaign))
+        record = self._estimate(run, campaign)
         self._confirm()
         run.commit()
         self._adopt(record)
@@ -152,6 +160,17 @@ class CalibrationRun:
                 run.note(
                     f"The gyro may not be back in its mission command ({self._plan.final.mode}): set its parameters, or restart its driver."
                 )
+
+    def _write(self, run: RunHandle, campaign: Campaign) -> None:
+        """Keep the recordings as a file, whatever comes of the estimate; a disk that refuses does not end the run."""
+        if self._artifacts is None:
+            return
+        try:
+            folder = self._artifacts / run.run_id
+            folder.mkdir(parents=True, exist_ok=True)
+            write_campaign_h5(folder / "campaign.h5", campaign)
+        except (OSError, GyroCalibError) as error:
+            run.note(f"The recordings could not be written: {error}.")
 
     def _estimate(self, run: RunHandle, campaign: Campaign) -> CalibrationRecord:
         def told(fraction: float) -> None:

@@ -122,14 +122,10 @@ def check_store(store: RecordStore) -> SelfCheck:
     """Whether a record could be written now: really writes a file beside it and takes it away again."""
     values = {"path": str(store.path)}
     folder = store.path.parent
-    while not folder.exists():
-        folder = folder.parent
     try:
+        while not folder.exists():
+            folder = folder.parent
         _probe(folder)
-        if store.path.exists():
-            # a file that is replaced needs its directory, not itself; but a read-only record is somebody's wish
-            with open(store.path, "rb+"):
-                pass
     except OSError as error:
         text = f"A record could not be saved at {store.path}: {error}. Free space, correct the rights, or set record_url."
         return SelfCheck("store", False, text, values)

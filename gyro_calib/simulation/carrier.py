@@ -29,19 +29,19 @@ def _converter(value, full_scale, lsb):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def emit_row(row_acc, sums, weights, place, last, out):  # type: ignore[no-untyped-def]
-    """Add one control step to the row filter; on the last step of a row write it to ``out`` and shift the accumulators."""
-    for q in range(9):
-        value = sums[q]
-        row_acc[0, q] += weights[0, place] * value
-        row_acc[1, q] += weights[1, place] * value
-        row_acc[2, q] += weights[2, place] * value
-    if last:
+def emit_row(steps, weights, acc, out):  # type: ignore[no-untyped-def]
+    """Pass the control steps (controls, 9) of one row through the row filter: write the row to ``out``, shift the accumulators ``acc`` (3, 9)."""
+    for j in range(steps.shape[0]):
+        w0, w1, w2 = weights[0, j], weights[1, j], weights[2, j]
         for q in range(9):
-            out[q] = row_acc[0, q]
-            row_acc[0, q] = row_acc[1, q]
-            row_acc[1, q] = row_acc[2, q]
-            row_acc[2, q] = 0.0
+            acc[0, q] += w0 * steps[j, q]
+            acc[1, q] += w1 * steps[j, q]
+            acc[2, q] += w2 * steps[j, q]
+    for q in range(9):
+        out[q] = acc[0, q]
+        acc[0, q] = acc[1, q]
+        acc[1, q] = acc[2, q]
+        acc[2, q] = 0.0
 
 
 @kernel
@@ -58,8 +58,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         State and parameters of :func:`.control.control_step`.
     adc_acc : ndarray, shape (3, 4)
         Accumulators of the demodulated pick-offs.
-    held : ndarray, shape (3, 5)
-        Drive envelopes (x_c, x_s, y_c, y_s) and reference frequency of the last three control periods, newest first.
+    held : ndarray, shape (2, 5)
+        Drive envelopes (x_c, x_s, y_c, y_s) and reference frequency of the last two control periods, newest first.
     row_acc : ndarray, shape (3, 9)
         Accumulators of the rows.
     adc_w, row_w : ndarray, shape (3, samples) and (3, controls)
@@ -78,8 +78,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         Sample time [s], nominal w [rad/s], force-noise velocity kick [m/s per sample, divided by w], pick-off noise [V per sample].
     flags : int
         Which of the rarer branches are on.
-    noise : ndarray, shape (samples, 4), float32
-        Standard normals: force x, y, pick-off x, y.
+    noise : ndarray, shape (4 samples,), float32
+        Standard normals: force x, y, pick-off x, y of each sample.
     out : ndarray, shape (rows, 9)
         x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s].
     """
@@ -89,8 +89,14 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     dt, w, kick, pick_noise = const[0], const[1], const[2], const[3]
     phi = np.zeros((4, 4))
     gamma = np.zeros((4, 2))
-    sums = np.zeros(9)
+    steps = np.empty((controls, 9))
+    volts = np.empty((samples, 4))
     shares = adc_w.sum(axis=1)
+    sh0, sh1, sh2 = shares[0], shares[1], shares[2]
+    w00, w01, w02, w03 = adc_acc[0, 0], adc_acc[0, 1], adc_acc[0, 2], adc_acc[0, 3]
+    w10, w11, w12, w13 = adc_acc[1, 0], adc_acc[1, 1], adc_acc[1, 2], adc_acc[1, 3]
+    nonlinear_on, converters_on, cubic_on = flags & FLAG_NONLINEAR != 0, flags & FLAG_CONVERTERS != 0, flags & FLAG_PICKOFF_CUBIC != 0
+    half_kick = -0.5 * dt / w
     n = 0
     x, y, vx, vy = z[0], z[1], z[2], z[3]
     phase = loop[S_PHASE]
@@ -124,57 +130,34 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             c, s = math.cos(phase), math.sin(phase)
             for j in range(samples):
                 # Re[P Z e^{i phi}] with Im[Z e^{i phi}] = -velocity / w
-                voltx = pk[0] * x + pk[1] * vx + pk[2] * y + pk[3] * vy + exr * c - exi * s + pick_noise * noise[n, 2]
-                volty = pk[4] * x + pk[5] * vx + pk[6] * y + pk[7] * vy + eyr * c - eyi * s + pick_noise * noise[n, 3]
-                if flags & FLAG_PICKOFF_CUBIC:
+                voltx = ((pk[0] * x + pk[1] * vx) + (pk[2] * y + pk[3] * vy)) + (exr * c - exi * s + pick_noise * noise[n + 2])
+                volty = ((pk[4] * x + pk[5] * vx) + (pk[6] * y + pk[7] * vy)) + (eyr * c - eyi * s + pick_noise * noise[n + 3])
+                if cubic_on:
                     voltx += converters[4] * voltx * voltx * voltx
                     volty += converters[4] * volty * volty * volty
-                if flags & FLAG_CONVERTERS:
+                if converters_on:
                     voltx = _converter(voltx, converters[0], converters[1])
                     volty = _converter(volty, converters[0], converters[1])
-                xc, xs, yc, ys = 2.0 * voltx * c, -2.0 * voltx * s, 2.0 * volty * c, -2.0 * volty * s
-                w0, w1, w2 = adc_w[0, j], adc_w[1, j], adc_w[2, j]
-                adc_acc[0, 0] += w0 * xc
-                adc_acc[0, 1] += w0 * xs
-                adc_acc[0, 2] += w0 * yc
-                adc_acc[0, 3] += w0 * ys
-                adc_acc[1, 0] += w1 * xc
-                adc_acc[1, 1] += w1 * xs
-                adc_acc[1, 2] += w1 * yc
-                adc_acc[1, 3] += w1 * ys
-                adc_acc[2, 0] += w2 * xc
-                adc_acc[2, 1] += w2 * xs
-                adc_acc[2, 2] += w2 * yc
-                adc_acc[2, 3] += w2 * ys
+                volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3] = 2.0 * voltx * c, -2.0 * voltx * s, 2.0 * volty * c, -2.0 * volty * s
                 forcex, forcey = fxr * c - fxi * s, fyr * c - fyi * s
-                if flags & FLAG_NONLINEAR:
+                if nonlinear_on:
                     kx, ky = instant_force(x, y, vx * w, vy * w, nonlinear)
-                    vx -= 0.5 * dt * kx / w
-                    vy -= 0.5 * dt * ky / w
-                x1 = f00 * x + f01 * y + f02 * vx + f03 * vy + g00 * forcex + g01 * forcey
-                y1 = f10 * x + f11 * y + f12 * vx + f13 * vy + g10 * forcex + g11 * forcey
-                vx1 = f20 * x + f21 * y + f22 * vx + f23 * vy + g20 * forcex + g21 * forcey + kick * noise[n, 0]
-                vy1 = f30 * x + f31 * y + f32 * vx + f33 * vy + g30 * forcex + g31 * forcey + kick * noise[n, 1]
+                    vx += half_kick * kx
+                    vy += half_kick * ky
+                x1 = ((f00 * x + f01 * y) + (f02 * vx + f03 * vy)) + (g00 * forcex + g01 * forcey)
+                y1 = ((f10 * x + f11 * y) + (f12 * vx + f13 * vy)) + (g10 * forcex + g11 * forcey)
+                vx1 = ((f20 * x + f21 * y) + (f22 * vx + f23 * vy)) + (g20 * forcex + g21 * forcey + kick * noise[n])
+                vy1 = ((f30 * x + f31 * y) + (f32 * vx + f33 * vy)) + (g30 * forcex + g31 * forcey + kick * noise[n + 1])
                 x, y, vx, vy = x1, y1, vx1, vy1
-                if flags & FLAG_NONLINEAR:
+                if nonlinear_on:
                     kx, ky = instant_force(x, y, vx * w, vy * w, nonlinear)
-                    vx -= 0.5 * dt * kx / w
-                    vy -= 0.5 * dt * ky / w
+                    vx += half_kick * kx
+                    vy += half_kick * ky
                 c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
-                n += 1
+                n += 4
             phase = (phase + omega * dt * samples) % (2.0 * math.pi)
-            for q in range(5):
-                held[2, q] = held[1, q]
-                held[1, q] = held[0, q]
-            held[0, 0], held[0, 1], held[0, 2], held[0, 3], held[0, 4] = uxc, uxs, uyc, uys, omega
-            for q in range(4):
-                sums[q] = adc_acc[0, q]
-                adc_acc[0, q] = adc_acc[1, q]
-                adc_acc[1, q] = adc_acc[2, q]
-                adc_acc[2, q] = 0.0
-                sums[4 + q] = shares[0] * held[0, q] + shares[1] * held[1, q] + shares[2] * held[2, q]
-            sums[8] = shares[0] * held[0, 4] + shares[1] * held[1, 4] + shares[2] * held[2, 4]
-            emit_row(row_acc, sums, row_w, step, step == controls - 1, out[row])
-            control_step(loop, param, sums[0], sums[1], sums[2], sums[3])
+            PLACEHOLDER
+            control_step(loop, param, xc, xs, yc, ys)
+        emit_row(steps, row_w, row_acc, out[row])
     z[0], z[1], z[2], z[3] = x, y, vx, vy
     loop[S_PHASE] = phase

@@ -1,6 +1,8 @@
-"""The slow-flow kernel: theory.md Eq. 3 advanced exactly over each control period, under the same loops and filters as the carrier.
+"""The slow-flow kernel: theory.md Eq. 3 advanced over each control period, under the same loops and filters as the carrier.
 
-``p' = (A - i delta) p + G u + f`` with ``delta = omega - omega0`` constant over a control period.
+``p' = (A - i delta) p + G u + f`` with ``delta = omega - omega0`` constant over a control period T: ``p1 = p + phi1(X) (X p + T G u)``,
+``X = T (A - i delta)``. Any approximation of phi1 keeps the steady state exact. Here ``phi1(M - i theta) = phi1(-i theta) + phi1'(-i theta) M``
+with ``M = T A``, ``theta = T delta``, the series in theta to the fourth order: what is left out is ``|M|^2 / 6`` and ``theta^5 / 720`` of the step.
 """
 
 from __future__ import annotations
@@ -8,98 +10,117 @@ from __future__ import annotations
 import numpy as np
 
 from ..device.averaging import averaged_force
+from ..jit import kernel
 from .carrier import emit_row
 from .control import S_BODY, S_DRIVE, S_OMEGA, control_step
-from ..jit import kernel
 
-__all__ = ["slow_flow_rows"]
+__all__ = ["FLOW_COLUMNS", "slow_flow_rows"]
+
+#: T A (re, im of xx, xy, yx, yy), T G (likewise), T times the response to one volt of body excitation (re, im of x, y), omega0 [rad/s]
+FLOW_COLUMNS = 21
+
+
+@kernel
+def _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear):  # type: ignore[no-untyped-def]
+    """What the averaged nonlinear forces add to ``T dp/dt`` [V]: re, im of x, y."""
+    px, py = complex(pxr, pxi), complex(pyr, pyi)
+    fx, fy = averaged_force(unpick[0, 0] * px + unpick[0, 1] * py, unpick[1, 0] * px + unpick[1, 1] * py, omega, nonlinear)
+    rx = 0.5j / omega * period * (pick[0, 0] * fx + pick[0, 1] * fy)
+    ry = 0.5j / omega * period * (pick[1, 0] * fx + pick[1, 1] * fy)
+    return rx.real, rx.imag, ry.real, ry.imag
 
 
 @kernel
 def slow_flow_rows(  # type: ignore[no-untyped-def]
-    p, loop, param, means, held, row_acc, shares, row_w, a, g, body, pick, unpick, nonlinear, feed, omega0, const, noise, out
+    p, loop, param, means, held, row_acc, shares, row_w, flow, pick, unpick, nonlinear, feed, const, noise, out
 ):
     """Simulate ``out.shape[0]`` rows, in place.
 
     Parameters
     ----------
-    p : ndarray, shape (2,), complex
-        Pick-off envelopes without feedthrough, relative to the phase reference [V].
+    p : ndarray, shape (4,)
+        Pick-off envelopes without feedthrough, relative to the phase reference: re, im of x, y [V].
     loop, param : ndarray
         State and parameters of :func:`.control.control_step`.
-    means : ndarray, shape (3, 2), complex
-        Mean pick-off with feedthrough of the last three control periods [V].
-    held : ndarray, shape (3, 5)
-        Drive envelopes and reference frequency of the last three control periods.
+    means : ndarray, shape (2, 4)
+        Mean pick-off with feedthrough of the last two control periods, newest first [V].
+    held : ndarray, shape (2, 5)
+        Drive envelopes and reference frequency of the last two control periods, newest first.
     row_acc, shares, row_w
         Filter state, share of each control period in the converter filter, shape (3,), and row weights.
-    a, g : ndarray, shape (rows, 2, 2), complex
-        A and G of each row [1/s], [1/s/V].
-    body : ndarray, shape (rows, 2), complex
-        Response of the envelopes to one volt of body excitation [1/s].
+    flow : ndarray, shape (rows, FLOW_COLUMNS)
+        See :data:`FLOW_COLUMNS`.
     pick, unpick : ndarray, shape (2, 2), complex
         P [V/m] and its inverse, for the nonlinear forces.
     nonlinear : ndarray, shape (6,)
         ``Nonlinearity.coefficients``.
-    feed : ndarray, shape (2, 2), complex
-        E.
-    omega0 : ndarray, shape (rows,)
-        Frequency about which A is written [rad/s].
+    feed : ndarray, shape (8,)
+        E: re, im of xx, xy, yx, yy.
     const : ndarray, shape (4,)
         Control period [s], sd of the force noise per period on each quadrature [V], sd of the pick-off noise per period [V],
         1 when there are nonlinear forces.
-    noise : ndarray, shape (controls, 8), float32
-        Standard normals.
+    noise : ndarray, shape (8 rows controls,), float32
+        Standard normals: force on x, y, then pick-off noise of x, y, each re, im.
     out : ndarray, shape (rows, 9)
         As in :func:`.carrier.carrier_rows`.
     """
     controls = row_w.shape[1]
-    period, kick, pick_noise = const[0], const[1], const[2]
-    sums = np.zeros(9)
+    period, kick, pick_noise, curved = const[0], const[1], const[2], const[3] > 0.0
+    sh0, sh1, sh2 = shares[0], shares[1], shares[2]
+    e0, e1, e2, e3, e4, e5, e6, e7 = feed[0], feed[1], feed[2], feed[3], feed[4], feed[5], feed[6], feed[7]
+    steps = np.empty((controls, 9))
+    pxr, pxi, pyr, pyi = p[0], p[1], p[2], p[3]
+    # history of the converter filter: suffix 1 one period ago, 2 two periods ago
+    m1xr, m1xi, m1yr, m1yi = means[0, 0], means[0, 1], means[0, 2], means[0, 3]
+    m2xr, m2xi, m2yr, m2yi = means[1, 0], means[1, 1], means[1, 2], means[1, 3]
+    u1xr, u1xi, u1yr, u1yi, w1 = held[0, 0], held[0, 1], held[0, 2], held[0, 3], held[0, 4]
+    u2xr, u2xi, u2yr, u2yi, w2 = held[1, 0], held[1, 1], held[1, 2], held[1, 3], held[1, 4]
     n = 0
-    px, py = p[0], p[1]
     for row in range(out.shape[0]):
-        a00, a01, a10, a11 = a[row, 0, 0], a[row, 0, 1], a[row, 1, 0], a[row, 1, 1]
+        f = flow[row]
+        a0, a1, a2, a3, a4, a5, a6, a7 = f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7]
+        g0, g1, g2, g3, g4, g5, g6, g7 = f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15]
         for step in range(controls):
             omega = loop[S_OMEGA]
-            ux = complex(loop[S_DRIVE], loop[S_DRIVE + 1])
-            uy = complex(loop[S_DRIVE + 2], loop[S_DRIVE + 3])
-            lag = 1j * (omega - omega0[row])
-            # X = (A - i delta + N) period; p1 = p + phi1(X) period (dp/dt), phi1 = I + X/2 + X^2/6 + X^3/24
-            x00 = (a00 - lag) * period
-            x01 = a01 * period
-            x10 = a10 * period
-            x11 = (a11 - lag) * period
-            rx = x00 * px + x01 * py + (g[row, 0, 0] * ux + g[row, 0, 1] * uy + body[row, 0] * loop[S_BODY]) * period
-            ry = x10 * px + x11 * py + (g[row, 1, 0] * ux + g[row, 1, 1] * uy + body[row, 1] * loop[S_BODY]) * period
-            if const[3] > 0.0:
-                zx, zy = unpick[0, 0] * px + unpick[0, 1] * py, unpick[1, 0] * px + unpick[1, 1] * py
-                fx, fy = averaged_force(zx, zy, omega, nonlinear)
-                rx += 0.5j / omega * period * (pick[0, 0] * fx + pick[0, 1] * fy)
-                ry += 0.5j / omega * period * (pick[1, 0] * fx + pick[1, 1] * fy)
-            bx, by = x00 * rx + x01 * ry, x10 * rx + x11 * ry
-            cx, cy = x00 * bx + x01 * by, x10 * bx + x11 * by
-            dx, dy = x00 * cx + x01 * cy, x10 * cx + x11 * cy
-            qx = px + rx + bx / 2.0 + cx / 6.0 + dx / 24.0 + kick * complex(noise[n, 0], noise[n, 1])
-            qy = py + ry + by / 2.0 + cy / 6.0 + dy / 24.0 + kick * complex(noise[n, 2], noise[n, 3])
-            for q in range(2):
-                means[2, q] = means[1, q]
-                means[1, q] = means[0, q]
-            means[0, 0] = 0.5 * (px + qx) + feed[0, 0] * ux + feed[0, 1] * uy + pick_noise * complex(noise[n, 4], noise[n, 5])
-            means[0, 1] = 0.5 * (py + qy) + feed[1, 0] * ux + feed[1, 1] * uy + pick_noise * complex(noise[n, 6], noise[n, 7])
-            px, py = qx, qy
-            for q in range(5):
-                held[2, q] = held[1, q]
-                held[1, q] = held[0, q]
-            for q in range(4):
-                held[0, q] = loop[S_DRIVE + q]
-            held[0, 4] = omega
-            vx = shares[0] * means[0, 0] + shares[1] * means[1, 0] + shares[2] * means[2, 0]
-            vy = shares[0] * means[0, 1] + shares[1] * means[1, 1] + shares[2] * means[2, 1]
-            sums[0], sums[1], sums[2], sums[3] = vx.real, vx.imag, vy.real, vy.imag
-            for q in range(5):
-                sums[4 + q] = shares[0] * held[0, q] + shares[1] * held[1, q] + shares[2] * held[2, q]
-            emit_row(row_acc, sums, row_w, step, step == controls - 1, out[row])
-            control_step(loop, param, sums[0], sums[1], sums[2], sums[3])
-            n += 1
-    p[0], p[1] = px, py
+            uxr, uxi, uyr, uyi = loop[S_DRIVE], loop[S_DRIVE + 1], loop[S_DRIVE + 2], loop[S_DRIVE + 3]
+            push = loop[S_BODY]
+            th = (omega - f[20]) * period
+            th2 = th * th
+            # s = phi1(-i theta), d = phi1'(-i theta)
+            sr, si = 1.0 - th2 * (1.0 / 6.0 - th2 * (1.0 / 120.0)), -th * (0.5 - th2 * (1.0 / 24.0))
+            dr, di = 0.5 - th2 * (1.0 / 8.0 - th2 * (1.0 / 144.0)), -th * (1.0 / 3.0 - th2 * (1.0 / 30.0))
+            rxr = (a0 * pxr - (a1 - th) * pxi) + (a2 * pyr - a3 * pyi) + (f[16] * push + ((g0 * uxr - g1 * uxi) + (g2 * uyr - g3 * uyi)))
+            rxi = (a0 * pxi + (a1 - th) * pxr) + (a2 * pyi + a3 * pyr) + (f[17] * push + ((g0 * uxi + g1 * uxr) + (g2 * uyi + g3 * uyr)))
+            ryr = (a6 * pyr - (a7 - th) * pyi) + (a4 * pxr - a5 * pxi) + (f[18] * push + ((g4 * uxr - g5 * uxi) + (g6 * uyr - g7 * uyi)))
+            ryi = (a6 * pyi + (a7 - th) * pyr) + (a4 * pxi + a5 * pxr) + (f[19] * push + ((g4 * uxi + g5 * uxr) + (g6 * uyi + g7 * uyr)))
+            if curved:
+                b0, b1, b2, b3 = _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear)
+                rxr, rxi, ryr, ryi = rxr + b0, rxi + b1, ryr + b2, ryi + b3
+            bxr, bxi = (a0 * rxr - a1 * rxi) + (a2 * ryr - a3 * ryi), (a0 * rxi + a1 * rxr) + (a2 * ryi + a3 * ryr)
+            byr, byi = (a4 * rxr - a5 * rxi) + (a6 * ryr - a7 * ryi), (a4 * rxi + a5 * rxr) + (a6 * ryi + a7 * ryr)
+            qxr = (pxr + kick * noise[n]) + ((sr * rxr - si * rxi) + (dr * bxr - di * bxi))
+            qxi = (pxi + kick * noise[n + 1]) + ((sr * rxi + si * rxr) + (dr * bxi + di * bxr))
+            qyr = (pyr + kick * noise[n + 2]) + ((sr * ryr - si * ryi) + (dr * byr - di * byi))
+            qyi = (pyi + kick * noise[n + 3]) + ((sr * ryi + si * ryr) + (dr * byi + di * byr))
+            mxr = 0.5 * (pxr + qxr) + (((e0 * uxr - e1 * uxi) + (e2 * uyr - e3 * uyi)) + pick_noise * noise[n + 4])
+            mxi = 0.5 * (pxi + qxi) + (((e0 * uxi + e1 * uxr) + (e2 * uyi + e3 * uyr)) + pick_noise * noise[n + 5])
+            myr = 0.5 * (pyr + qyr) + (((e4 * uxr - e5 * uxi) + (e6 * uyr - e7 * uyi)) + pick_noise * noise[n + 6])
+            myi = 0.5 * (pyi + qyi) + (((e4 * uxi + e5 * uxr) + (e6 * uyi + e7 * uyr)) + pick_noise * noise[n + 7])
+            pxr, pxi, pyr, pyi = qxr, qxi, qyr, qyi
+            vxr, vxi = sh0 * mxr + (sh1 * m1xr + sh2 * m2xr), sh0 * mxi + (sh1 * m1xi + sh2 * m2xi)
+            vyr, vyi = sh0 * myr + (sh1 * m1yr + sh2 * m2yr), sh0 * myi + (sh1 * m1yi + sh2 * m2yi)
+            s = steps[step]
+            s[0], s[1], s[2], s[3] = vxr, vxi, vyr, vyi
+            s[4], s[5] = sh0 * uxr + (sh1 * u1xr + sh2 * u2xr), sh0 * uxi + (sh1 * u1xi + sh2 * u2xi)
+            s[6], s[7] = sh0 * uyr + (sh1 * u1yr + sh2 * u2yr), sh0 * uyi + (sh1 * u1yi + sh2 * u2yi)
+            s[8] = sh0 * omega + (sh1 * w1 + sh2 * w2)
+            m2xr, m2xi, m2yr, m2yi, m1xr, m1xi, m1yr, m1yi = m1xr, m1xi, m1yr, m1yi, mxr, mxi, myr, myi
+            u2xr, u2xi, u2yr, u2yi, w2, u1xr, u1xi, u1yr, u1yi, w1 = u1xr, u1xi, u1yr, u1yi, w1, uxr, uxi, uyr, uyi, omega
+            control_step(loop, param, vxr, vxi, vyr, vyi)
+            n += 8
+        emit_row(steps, row_w, row_acc, out[row])
+    p[0], p[1], p[2], p[3] = pxr, pxi, pyr, pyi
+    means[0, 0], means[0, 1], means[0, 2], means[0, 3] = m1xr, m1xi, m1yr, m1yi
+    means[1, 0], means[1, 1], means[1, 2], means[1, 3] = m2xr, m2xi, m2yr, m2yi
+    held[0, 0], held[0, 1], held[0, 2], held[0, 3], held[0, 4] = u1xr, u1xi, u1yr, u1yi, w1
+    held[1, 0], held[1, 1], held[1, 2], held[1, 3], held[1, 4] = u2xr, u2xi, u2yr, u2yi, w2
