@@ -48,7 +48,7 @@ def generate_launch_description():
         }
         namespace = f"gyro_{axis}"
         gyros.append(node("gyro_sim", "gyro_sim_node", namespace, unit, remappings=[("true_rate", "/true_rate")]))
-        gyros.append(node("gyro_calibration", "calibration_node", namespace, {}))
+        gyros.append(node("gyro_calibration", "calibration_node", namespace, {"frame_id": f"gyro_{axis}"}))
     joined = {"gyros": [f"gyro_{axis}" for axis in AXES], "axes": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]}
     # one entry a gyro: empty asks the gyro for its device, and looks for its record in the default place
     joined |= {"device_ids": [""] * 3, "record_urls": [""] * 3}

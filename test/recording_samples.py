@@ -43,3 +43,17 @@ def make_campaign(modes: tuple[str, ...] = ("ftr_x", "ftr_y", "ftr_x"), n: int =
         rows = make_rows(n, mode=mode, segment=index, start_s=index * (n / 1000.0 + 1.0))
         recordings.append(Recording("ring-0001", rows, Command(mode), 1000.0, f"{mode}_{index}", {"note": f"number {index}"}))
     return Campaign("ring-0001", tuple(recordings), FACTORY)
+
+
+def write_raw_bag(path: Path, messages: list[tuple[str, str, bytes]]) -> Path:
+    """A bag of serialised messages (topic, type, bytes), a millisecond apart."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, connections = get_typestore(Stores.ROS2_JAZZY), {}
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for count, (topic, kind, data) in enumerate(messages):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], (count + 1) * 1_000_000, data)
+    return path

@@ -85,6 +85,10 @@ def test_revert_passes_over_a_copy_of_the_present_one(store: RecordStore) -> Non
     store.save(numbered(1))
     store.save(numbered(2))
     files.take_copy(store.path, store.previous_directory / "0002.yaml")  # what a writer leaves that dies before the rename
+    store.save(numbered(3))
+    assert [v.record.record_id for v in store.previous()] == [numbered(2).record_id, numbered(1).record_id]
+    store.revert()
+    files.take_copy(store.path, store.previous_directory / "0002.yaml")
     assert store.revert().record_id == numbered(1).record_id
 
 

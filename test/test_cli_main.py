@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
+import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,21 +31,8 @@ def is_quantity(entry):
 def recording(tmp_path_factory):
     """A short self-calibration, simulated by the command itself."""
     folder = tmp_path_factory.mktemp("recordings")
-    arguments = (
-        "--plan",
-        "self_calibrate",
-        "--out",
-        folder,
-        "--seed",
-        "3",
-        "--rate",
-        "40",
-        "--quality",
-        "quick",
-        "--fidelity",
-        "slow_flow",
-    )
-    assert run("simulate", "ring_15k", *arguments) == 0
+    arguments = ("--plan", "self_calibrate", "--seed", "3", "--rate", "40", "--quality", "quick", "--fidelity", "slow_flow")
+    assert run("simulate", "ring_15k", *arguments, "--out", folder) == 0
     (path,) = folder.iterdir()
     return path
 
@@ -55,7 +46,7 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for command in ("demo", "up", "call", "simulate", "calibrate", "allan", "study"):
-        assert f"\n    {command} " in done.stdout
+        assert re.search(rf"\n    {command}\s", done.stdout)
 
 
 @pytest.mark.parametrize("command", ["demo", "up", "call", "simulate", "calibrate", "allan", "study"])
@@ -198,6 +189,38 @@ def test_recordings_of_a_stranger_need_a_scale_factor_for_allan(capsys):
     assert "Give --scale-factor" in capsys.readouterr().err
     assert run("allan", BENCH / "ring_a.h5", "--scale-factor", "0.0937") == 0
     assert "static_x" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [("allan", "x.txt", "--rate-hz", "1"), ("study", "any"), ("calibrate", "x.h5")])
+def test_what_cannot_be_drawn_is_said_before_the_work(arguments, monkeypatch, capsys):
+    monkeypatch.setattr("gyro_calib.study.find_study", lambda name: name)
+    option, name = ("--html", "page.html") if arguments[0] == "calibrate" else ("--plot", "plot.png")
+    if option == "--plot":
+        assert run(*arguments, option, "plot.xyz") == 1
+        assert "must end in .pdf, .png, .svg" in capsys.readouterr().err
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda wanted, *rest: None if wanted == "matplotlib" else find(wanted, *rest))
+    assert run(*arguments, option, name) == 1
+    assert "pip install 'gyro_calib[viz]'" in capsys.readouterr().err
+
+
+def readme():
+    return (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+def test_commands_of_the_readme_parse():
+    lines = re.findall(r"^(?:gyro-calib) (.*)$", readme(), flags=re.MULTILINE)
+    assert len(lines) >= 6
+    for line in lines:
+        assert build_parser().parse_args(shlex.split(line, comments=True)).run
+
+
+def test_python_of_the_readme_runs(capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", readme(), flags=re.DOTALL)
+    exec(compile(code, "README.md", "exec"), {})
+    rate, sd, truth = map(float, re.fullmatch(r"rate (\S+) ± (\S+) deg/h, truly (\S+)\n", capsys.readouterr().out).groups())
+    assert abs(rate - truth) < 6.0 * sd + 0.1
+    assert sd < 10.0
 
 
 def test_parser_runs_the_command_it_names():

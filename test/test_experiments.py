@@ -114,7 +114,7 @@ def test_any_failure_returns_to_the_mission_and_keeps_its_own_reason() -> None:
 
 def test_a_moving_temperature_ends_the_run_with_its_size() -> None:
     base = load_device("ring_15k")
-    device = replace(base, environment=replace(base.environment, ramp_k_per_s=0.1))
+    device = replace(base, environment=replace(base.environment, ramp_k_per_s=0.12))
     plan = plan_by_name("sideband", device.factory(), quality="quick", limits=Limits(temperature_k=1.0))
     with pytest.raises(ExperimentAborted, match=r"within 1 K of its start .* but moved 1\."):
         run_plan(_instrument(device), plan)

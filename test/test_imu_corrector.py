@@ -22,6 +22,7 @@ from geometry_msgs.msg import TwistStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from ros_processes import NodeProcess, start_node
 from sensor_msgs.msg import Imu, Temperature
@@ -235,6 +236,15 @@ def test_from_raw_to_calibrated_when_the_record_comes(single) -> None:
     bench.until(lambda: bench.level == 0 and record.record_id in bench.message, "a verified record must be all right")
     assert bench.facts["device_verified"] == "True"
     assert bench.facts["record_id"] == record.record_id
+    (status,) = bench.node.get_publishers_info_by_topic("/one/imu_corrector/status")
+    (output,) = bench.node.get_publishers_info_by_topic("/one/imu/data_raw")
+    assert status.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL  # whoever joins late learns it
+    assert output.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    arrays: list[Any] = []
+    subscription = bench.node.create_subscription(DiagnosticArray, "/diagnostics", arrays.append, 10)
+    bench.until(lambda: bool(arrays), "/diagnostics must come")
+    assert arrays[0].status[0].name == "one/imu_corrector: correction"
+    bench.node.destroy_subscription(subscription)
 
 
 def test_new_record_takes_over_between_two_samples(single) -> None:

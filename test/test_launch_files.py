@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -100,17 +101,37 @@ def test_triad_joins_three_namespaces(described):
     (corrector,) = [node for node in nodes if node["executable"] == "imu_corrector_node"]
     assert [g["namespace"] for g in gyros] == [c["namespace"] for c in calibrations] == ["gyro_x", "gyro_y", "gyro_z"]
     assert [g["parameters"][2]["gyro_axis"] for g in gyros] == ["x", "y", "z"]
+    assert [n["parameters"][2]["frame_id"] for n in (*gyros, *calibrations)] == ["gyro_x", "gyro_y", "gyro_z"] * 2
     assert corrector["parameters"][2]["gyros"] == ["gyro_x", "gyro_y", "gyro_z"]
     assert len(corrector["parameters"][2]["device_ids"]) == len(corrector["parameters"][2]["record_urls"]) == 3
     assert corrector["parameters"][2]["axes"] == [1, 0, 0, 0, 1, 0, 0, 0, 1]
 
 
-def test_parameter_file_names_parameters_that_exist():
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("executable", "change"),
+    [
+        ("gyro_sim_node", {"rate_raw_hz": 50.0}),
+        ("calibration_node", {"stream_timeout_s": 4.0}),
+        ("imu_corrector_node", {"covariance_horizon_s": 50.0}),
+    ],
+)
+def test_node_declares_and_takes_every_parameter_of_the_file(ros, tmp_path, executable, change):
+    from rclpy.node import Node
+
+    path, name = tmp_path / "changed.yaml", EXECUTABLES[executable]
     content = yaml.safe_load((ROOT / "config" / "gyro_calib.yaml").read_text(encoding="utf-8"))
-    known = words_of_nodes()
-    for node, parameters in content.items():
-        assert node.rpartition("/")[2] in EXECUTABLES.values()
-        assert set(parameters["ros__parameters"]) - known == set()
+    wanted = content[f"/**/{name}"]["ros__parameters"]
+    wanted |= change  # one that is not the node's default
+    path.write_text(yaml.safe_dump(content))
+    module = importlib.import_module(f"gyro_calib.nodes.{executable}")
+    made = [c for c in vars(module).values() if isinstance(c, type) and issubclass(c, Node) and c.__module__ == module.__name__]
+    node = made[0](namespace="/anywhere", cli_args=["--ros-args", "--params-file", str(path)])
+    try:
+        assert node.get_name() == name
+        assert {key: node.get_parameter(key).value for key in wanted} == wanted
+    finally:
+        node.destroy_node()
 
 
 @pytest.mark.parametrize("name", ["robot_localization_ekf.yaml", "imu_tools.yaml"])

@@ -134,7 +134,9 @@ def test_installed_package_has_its_share_and_executables(tmp_path):
     source = tmp_path / "source"
     shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "test", "benchmarks", "docs", "out", "build", "__pycache__"))
     (source / "README.md").touch()
-    command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--prefix", str(tmp_path / "prefix"), "."]
+    # without --ignore-installed, pip would first take the package out of the environment that runs this test
+    options = ["-q", "--no-deps", "--no-build-isolation", "--ignore-installed", "--prefix", str(tmp_path / "prefix")]
+    command = [sys.executable, "-m", "pip", "install", *options, "."]
     done = subprocess.run(command, cwd=source, capture_output=True, text=True, timeout=300, check=False)
     if "invalid command 'bdist_wheel'" in done.stderr:
         pytest.skip("setuptools here is older than 70.1")

@@ -34,7 +34,8 @@ def test_a_value_out_of_order_does_not_undo_later_ones() -> None:
     held = RateInput()
     held.push(1.0, 0.3)
     held.push(2.0, 0.2)
-    np.testing.assert_array_equal(held.sample(np.array([0.25, 0.3, 0.4])), [0.0, 2.0, 2.0])
+    held.push(3.0, 0.35)
+    np.testing.assert_array_equal(held.sample(np.array([0.25, 0.3, 0.34, 0.4])), [0.0, 2.0, 2.0, 3.0])
 
 
 def test_a_rate_that_nobody_renews_times_out_and_comes_back() -> None:

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from recording_samples import FACTORY, make_campaign, make_rows
+from recording_samples import FACTORY, make_campaign, make_rows, write_raw_bag
 
 from gyro_calib.errors import DataError
 from gyro_calib.recording import COLUMNS, Command, Excitation, Setpoints, load_campaign, read_campaign_bag, write_campaign_bag
@@ -271,10 +271,11 @@ def test_messages_of_rclpy_are_read(tmp_path):
         MultiArrayDimension(label="sample", size=2500, stride=2500 * 12),
         MultiArrayDimension(label=",".join(COLUMNS), size=12, stride=12),
     ]
-    with rosbag2.Writer(tmp_path / "bag", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
-        for time_ns, (topic, kind, message) in enumerate((("/parameter_events", EVENTS, event), ("/g/channels", BLOCKS, block))):
-            connection = writer.add_connection(topic, kind, typestore=STORE)
-            writer.write(connection, time_ns, serialization.serialize_message(message))
+    messages = [
+        (topic, kind, serialization.serialize_message(m))
+        for topic, kind, m in (("/parameter_events", EVENTS, event), ("/g/channels", BLOCKS, block))
+    ]
+    write_raw_bag(tmp_path / "bag", messages)
     campaign = read_campaign_bag(tmp_path / "bag", settle_s=0.0)
     np.testing.assert_array_equal(campaign.recordings[0].data, rows)
     assert campaign.recordings[0].command == Command("ftr_x", SIDE_BAND.excitation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from html.parser import HTMLParser
@@ -22,7 +23,7 @@ from gyro_calib.report.comparison import compare, comparison_table
 from gyro_calib.report.figures import draw_residuals
 from gyro_calib.report.page import Page, Panel, Tile, render_page, write_page
 from gyro_calib.report.series import Residuals, averaged, convergence_series, residual_series, response_runs, side_band_amplitudes
-from gyro_calib.report.table import Table, number, quantity_cells
+from gyro_calib.report.table import Table, number, quantity_cells, to_rich
 from gyro_calib.units import DEG_H, PPM
 
 A = np.array([[-1.5 + 0.2j, 0.02 + 0.05j], [-0.03 + 0.05j, -1.6 - 0.4j]])
@@ -339,6 +340,17 @@ def test_noise_pictures():
     svg = to_svg(draw_distributions(figures, "study", "none", PAGE).figure, "study", "x")
     assert "a [deg/h]" in svg
     assert "b [ppm]" in svg
+
+
+def test_terminal_shows_the_same_cells():
+    """Brackets are text, not markup."""
+    from rich.console import Console
+
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(to_rich(Table("title [V]", ("", "error [deg]"), (("a [b]", "−1.5"),), "caption [x]")))
+    text = console.export_text()
+    for words in ("title [V]", "error [deg]", "a [b]", "−1.5", "caption [x]"):
+        assert words in text
 
 
 def test_plain_page_parts():

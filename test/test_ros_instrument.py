@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
-from ros_helpers import FakeGyro, PlainSimulator, RosSession
+from ros_helpers import FakeGyro, PlainSimulator, RosSession, wait_for
 
 from gyro_calib.errors import DataError, ExperimentAborted
 from gyro_calib.experiments.instrument import Instrument
@@ -66,6 +66,25 @@ def test_settling_counts_from_the_first_row_of_the_segment(instrument: RosInstru
     assert starts[0] - 0.1 <= recording.t[0] - 0.5 <= starts[0]
 
 
+def test_without_settling_a_recording_begins_with_the_segment(instrument: RosInstrument, gyro: FakeGyro) -> None:
+    blocks: list[np.ndarray] = []
+    gyro.when(lambda rows: bool(blocks.append(rows)), lambda: None)
+    instrument.configure(Command("ftr_x"))
+    recording = instrument.record(0.2)
+    stream = np.concatenate(blocks)
+    assert recording.t[0] == stream[stream[:, 1] == 1.0][0, 0]
+
+
+def test_what_went_by_between_two_recordings_is_not_in_the_second(instrument: RosInstrument, gyro: FakeGyro) -> None:
+    instrument.configure(Command("ftr_x"))
+    instrument.record(0.5)
+    gyro.drop_block()
+    wait_for(lambda: not gyro._faults, what="the lost block")
+    since = gyro._sim.time_s
+    wait_for(lambda: gyro._sim.time_s > since + 0.5, what="later blocks")
+    assert instrument.record(0.5).extras["attempts"] == 1
+
+
 def test_a_second_recording_under_the_same_command_follows_the_first(instrument: RosInstrument, gyro: FakeGyro) -> None:
     instrument.configure(Command("ftr_x"))
     first = instrument.record(0.5, settle_s=0.3)
@@ -107,6 +126,14 @@ def publish_malformed(gyro: FakeGyro) -> None:
     gyro._channels.publish(message)
 
 
+def kelvins(gyro: FakeGyro) -> None:
+    gyro._sim.temperature_degc = 300.0
+
+
+def set_behind_its_back(gyro: FakeGyro) -> None:
+    gyro._parameters["excitation.index"] = Parameter("excitation.index", value=0.3)
+
+
 def set_parameter(gyro: FakeGyro) -> None:
     gyro.set_parameters([Parameter("excitation.index", value=0.3)])
 
@@ -119,6 +146,8 @@ def set_parameter(gyro: FakeGyro) -> None:
         (FakeGyro.repeat_block, DataError, r"a step back of .* a block is repeated or out of order"),
         (publish_malformed, DataError, r"block of 6 samples x 12 must hold 72 numbers, but got 60"),
         (lambda gyro: gyro.become("other-0002"), DataError, r"must stay 'plain-0001' during a run, but is now 'other-0002'"),
+        (kelvins, DataError, r"temperature of recording 'static' must be in degC, but got 300 .*subtract 273\.15"),
+        (set_behind_its_back, ExperimentAborted, r"must stay in force during a run, but got excitation\.index = 0\.3\. Somebody else"),
         (set_parameter, ExperimentAborted, r"Segment must stay 1 while recording, but got 2 .* Somebody else commands the gyro"),
     ],
 )
@@ -128,8 +157,9 @@ def test_a_bad_stream_is_refused_with_the_sample_and_the_remedy(
     gyro.during_segment(1, lambda: fault(gyro), after_s=0.5)
     instrument.configure(Command("ftr_x"))
     with pytest.raises(error, match=text):
-        instrument.record(2.0, settle_s=0.1, label="static")
+        instrument.record(2.5, settle_s=0.1, label="static")
     # and the next run works, on whatever unit is there then
+    gyro._sim.temperature_degc = 25.0
     instrument.connect()
     instrument.configure(Command("ftr_x"))
     assert len(instrument.record(0.5)) == 250
@@ -149,6 +179,10 @@ def test_a_stream_that_stops_ends_the_recording(ros: RosSession, gyro: FakeGyro)
     instrument.configure(Command("ftr_x"))
     with pytest.raises(ExperimentAborted, match=r"Stream /left/channels must deliver blocks, but none came for 1 s"):
         instrument.record(60.0)
+    # putting the gyro back does not wait for it once more
+    instrument._stall_s = 1000.0
+    with pytest.raises(ExperimentAborted, match="must deliver blocks"):
+        instrument.configure(Command("ftr_x"))
     gyro.resume_stream()
     instrument.configure(Command("ftr_x"))
     assert len(instrument.record(0.5)) == 250

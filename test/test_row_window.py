@@ -82,9 +82,13 @@ def test_a_number_that_is_not_finite_is_refused(column: int, first: int) -> None
     assert not isinstance(refusal.value, LostRows)
 
 
-def test_a_gap_beside_a_nan_is_not_mended_by_recording_again() -> None:
+def test_a_gap_beside_worse_is_not_mended_by_recording_again() -> None:
     bad = np.concatenate([rows(0, 5), rows(8, 5)])
     bad[2, 5] = np.nan
+    with pytest.raises(DataError) as refusal:
+        window(50).add(bad)
+    assert not isinstance(refusal.value, LostRows)
+    bad = np.concatenate([rows(0, 5), rows(8, 5), rows(8, 5)])
     with pytest.raises(DataError) as refusal:
         window(50).add(bad)
     assert not isinstance(refusal.value, LostRows)

@@ -103,7 +103,7 @@ def test_registry_finds_what_it_lists():
     assert names == sorted(set(names))
     for name in names:
         assert find_study(name).name == name
-    with pytest.raises(DataError, match="Study must be one of .*, but got 'nonsense'"):
+    with pytest.raises(DataError, match=r"Study must be one of .*, but got 'nonsense'"):
         find_study("nonsense")
 
 

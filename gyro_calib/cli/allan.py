@@ -19,10 +19,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..estimation.allan import AllanAnalysis
+    from ..recording.recording import Recording
 
 _TEXT_SUFFIXES = {".txt", ".csv", ".dat", ".tsv"}
 #: rad/s per unit
 _UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "deg/h": math.pi / 180.0 / 3600.0}
+
+
+#: a recording whose temperature moves more shows the temperature, not the noise [K]
+_STEADY_K = 1.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, analyse, report."""
     from ..estimation.allan import analyse_allan
     from ..report.noise_figures import allan_table, draw_allan
+    from ..report.theme import PAPER, require_plot_suffix, save_figure
 
+    if arguments.plot is not None:
+        require_plot_suffix(arguments.plot)
     record = _read(arguments)
     analysis = analyse_allan(record.rate_rad_s, record.sample_rate_hz, min_tau_s=arguments.min_tau)
     to_stdout = arguments.json is not None and str(arguments.json) == "-"
@@ -64,8 +72,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_json(arguments.json, _document(record, analysis))
     if arguments.plot is not None:
-        from ..report.theme import PAPER, save_figure
-
         save_figure(draw_allan(analysis, PAPER).figure, arguments.plot)
         if not to_stdout:
             say(f"plot: {arguments.plot}")
@@ -104,9 +110,7 @@ def _read_recording(arguments: argparse.Namespace) -> RateRecord:
 
     with progress_bar("reading") as report:
         campaign = load_campaign(arguments.recording, on_progress=report)
-    static = [r for r in campaign if r.command.oscillator_axis and r.command.excitation.kind == "none"]
-    if arguments.label is not None:
-        static = [r for r in campaign if r.label == arguments.label]
+    static = [r for r in campaign if _is_static(r)] if arguments.label is None else [r for r in campaign if r.label == arguments.label]
     if not static:
         wanted = f"one labelled {arguments.label!r}" if arguments.label is not None else "a static one in force-rebalance mode"
         labels = ", ".join(r.label for r in campaign)
@@ -122,6 +126,13 @@ def _read_recording(arguments: argparse.Namespace) -> RateRecord:
         )
     rate = raw_rate(recording.data, recording.command, factory)
     return RateRecord(rate, recording.sample_rate_hz, campaign.device_id, recording.label)
+
+
+def _is_static(recording: Recording) -> bool:
+    """At rest at one temperature, with a rate channel."""
+    turned = bool(recording.extras.get("applied_rate"))
+    warmed = float(recording.temperature_degc.max() - recording.temperature_degc.min()) > _STEADY_K
+    return bool(recording.command.oscillator_axis) and recording.command.excitation.kind == "none" and not turned and not warmed
 
 
 def _document(record: RateRecord, analysis: AllanAnalysis) -> dict[str, Any]:

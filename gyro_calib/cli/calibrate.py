@@ -27,7 +27,10 @@ def run(arguments: argparse.Namespace) -> int:
     from ..estimation import calibrate
     from ..recording.load import load_campaign
     from ..report.calibration_page import result_table
+    from ..report.theme import require_matplotlib
 
+    if arguments.html is not None:
+        require_matplotlib()
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
     with progress_bar("estimating") as report:

@@ -25,16 +25,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
+    from ..report.comparison import comparison_table
+    from ..report.theme import require_matplotlib
     from .demo_report import demo_document, write_report
     from .demo_session import DemoSettings, play
 
+    require_matplotlib()
     began = time.monotonic()
     settings = DemoSettings(arguments.device, arguments.seed, arguments.quality, arguments.speed, arguments.out.absolute())
     outcome = play(settings)
+    page = write_report(settings, outcome, time.monotonic() - began)
     elapsed_s = time.monotonic() - began
-    from ..report.comparison import comparison_table
-
-    page = write_report(settings, outcome, elapsed_s)
     if arguments.json is None or str(arguments.json) != "-":
         print_table(comparison_table(outcome.comparison))
         say(f"record  {outcome.record.record_id}")

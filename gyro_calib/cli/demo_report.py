@@ -16,6 +16,7 @@ from ..report.calibration_page import AxisTruth, Rates, RunFacts, calibration_pa
 from ..report.page import write_page
 from ..report.series import averaged
 from ..units import DEG_H
+from .console import progress_bar
 from .demo_session import DemoOutcome, DemoSettings
 
 __all__ = ["axis_truths", "demo_document", "write_report"]
@@ -53,7 +54,8 @@ def axis_truths(device: Device) -> dict[str, AxisTruth]:
 def write_report(settings: DemoSettings, outcome: DemoOutcome, elapsed_s: float) -> Path:
     """Write ``report.html`` from what the calibration node recorded; returns its path."""
     campaign = load_campaign(settings.directory / outcome.run_id / "campaign.h5")
-    result = calibrate(campaign)
+    with progress_bar("drawing the report", lines=True) as report:
+        result = calibrate(campaign, on_progress=lambda fraction: report(fraction, ""))
     device = outcome.device
     frequency = device.factory_data.nominal_f0_hz / 1000.0
     facts = RunFacts(

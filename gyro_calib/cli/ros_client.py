@@ -17,6 +17,8 @@ __all__ = ["RosClient", "RunFailed", "RunView"]
 _ENDED = {"done", "failed", "cancelled"}
 _DISCOVERY_S = 15.0
 _ANSWER_S = 15.0
+#: a calibration node that has been invisible for so long will not come back to its run [s]
+_GONE_S = 5.0
 
 
 class RunFailed(GyroCalibError):
@@ -88,8 +90,8 @@ class RosClient:
         self._context = rclpy.Context()
         # Ctrl-C stays a KeyboardInterrupt of this program
         rclpy.init(args=[], context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("gyro_calib_cli", namespace="/" + namespace.strip("/"), context=self._context)
         self._executor = (EventsExecutor or SingleThreadedExecutor)(context=self._context)
+        self.node = rclpy.create_node("gyro_calib_cli", namespace="/" + namespace.strip("/"), context=self._context)
         self._executor.add_node(self.node)
         self.latest: RunView | None = None
         self._seen: RunView | None = None
@@ -192,11 +194,11 @@ class RosClient:
         return self._seen
 
     def _check_presence(self, absent_since: float | None) -> float | None:
-        """A calibration node that is gone for several seconds will not come back to this run."""
+        """Since when no calibration node is to be seen, or None."""
         if self.node.count_publishers(self.node.resolve_topic_name("gyro_calibration/status")) > 0:
             return None
         now = time.monotonic()
-        if absent_since is not None and now - absent_since > 5.0:
+        if absent_since is not None and now - absent_since > _GONE_S:
             raise RunFailed("The calibration node is gone. Its previous calibration stays; start it again.")
         return now if absent_since is None else absent_since
 

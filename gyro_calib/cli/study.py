@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a study; exit code 1 when a gate does not hold."""
+    from ..report.theme import require_plot_suffix, save_figure
     from ..study import find_study, list_studies, run_study
 
     if arguments.list:
@@ -34,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
             say(f"{known.name:<24} {known.description}")
         return 0
     study = find_study(arguments.name)
+    if arguments.plot is not None:
+        require_plot_suffix(arguments.plot)
     # one thread each: the processes are the parallelism
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -47,8 +50,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_json(arguments.json, result.to_json())
     if arguments.plot is not None:
-        from ..report.theme import save_figure
-
         save_figure(study_drawing(result).figure, arguments.plot)
         if not to_stdout:
             say(f"plot: {arguments.plot}")

@@ -19,6 +19,8 @@ __all__ = ["AXES", "Equation", "LinearFit", "NoiseModel", "fit_axis", "fit_noise
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 AXES = ("x", "y")
+#: what a further noise term must gain beyond the information criterion, twice the log likelihood: strong evidence
+_EXTRA_TERM = 6.0
 
 
 @dataclass(frozen=True)
@@ -38,17 +40,31 @@ class NoiseModel:
 def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float) -> NoiseModel:
     """Fit the density to squared residual projections (each chi-square with one degree of freedom), non-negative coefficients.
 
-    ``lowest_hz`` is where flicker is cut off: the effective frequency of the carrier line of a record, about a third of its 1/duration.
+    A flicker or pick-off term is kept only when the data ask for it (Bayesian information criterion on the Whittle likelihood): a term
+    that only chance put there would be carried by 1/f to the carrier line and cost most of its weight. ``lowest_hz`` is where flicker is
+    cut off: the effective frequency of the carrier line of a record, about a third of its 1/duration.
     """
-    f = np.abs(frequency_hz)
+    f = np.maximum(np.abs(frequency_hz), lowest_hz)
     basis = np.column_stack([np.ones_like(f), 1.0 / f, f**2])
-    scale = np.median(squares) / 0.455
-    expected = np.full_like(f, max(scale, 1e-300))
-    coefficients = np.array([expected[0], 0.0, 0.0])
-    for _ in range(8):
+    best, best_score = (0.0, 0.0, 0.0), np.inf
+    for terms in ((0,), (0, 1), (0, 2), (0, 1, 2)):
+        coefficients = np.zeros(3)
+        coefficients[list(terms)] = _whittle_fit(basis[:, terms], squares)
+        expected = np.maximum(basis @ coefficients, 1e-300)
+        score = float(np.sum(np.log(expected) + squares / expected)) + len(terms) * (np.log(squares.size) + _EXTRA_TERM)
+        if score < best_score:
+            best, best_score = (float(coefficients[0]), float(coefficients[1]), float(coefficients[2])), score
+    return NoiseModel(best, lowest_hz)
+
+
+def _whittle_fit(basis: FloatArray, squares: FloatArray) -> FloatArray:
+    """Non-negative coefficients by reweighted least squares (the fixed point maximises the Whittle likelihood)."""
+    expected = np.full(squares.size, max(float(squares.mean()), 1e-300))
+    coefficients = np.zeros(basis.shape[1])
+    for _ in range(12):
         coefficients, _ = nnls(basis / expected[:, None], squares / expected)
-        expected = np.maximum(basis @ coefficients, 1e-3 * expected.mean())
-    return NoiseModel((float(coefficients[0]), float(coefficients[1]), float(coefficients[2])), lowest_hz)
+        expected = np.maximum(basis @ coefficients, 1e-4 * float(squares.mean()) + 1e-300)
+    return np.asarray(coefficients)
 
 
 @dataclass(frozen=True)
@@ -63,8 +79,8 @@ class Equation:
     gram : ndarray, shape (m, m)
     sd_re, sd_im : ndarray, shape (m,)
         Noise of real and imaginary part of each equation.
-    detuning : ndarray, shape (m,), complex, or None
-        Regressor of this recording's own resonance shift (``i lambda p``), when the axis oscillates.
+    detuning : ndarray, shape (m, k), complex, or None
+        Regressors of this recording's own resonance shift, constant and steady (``i lambda p``), when the axis oscillates.
     """
 
     lhs: ComplexArray
@@ -114,15 +130,16 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
         Fewer equations than unknowns, or a singular design.
     """
     count = equations[0].regressors.shape[1]
-    shifts = [i for i, e in enumerate(equations) if e.detuning is not None]
-    unknowns = 2 * count + len(shifts)
+    own = [0 if e.detuning is None else e.detuning.shape[1] for e in equations]
+    first = np.concatenate([[0], np.cumsum(own)])
+    unknowns = 2 * count + int(first[-1])
     designs, targets = [], []
     for i, e in enumerate(equations):
         re, im = e.regressors.real, e.regressors.imag
-        shift_re, shift_im = np.zeros((e.lhs.size, len(shifts))), np.zeros((e.lhs.size, len(shifts)))
+        shift_re, shift_im = np.zeros((e.lhs.size, int(first[-1]))), np.zeros((e.lhs.size, int(first[-1])))
         if e.detuning is not None:
-            column = shifts.index(i)
-            shift_re[:, column], shift_im[:, column] = -e.detuning.imag, e.detuning.real
+            place = slice(int(first[i]), int(first[i + 1]))
+            shift_re[:, place], shift_im[:, place] = -e.detuning.imag, e.detuning.real
         top = np.empty((e.lhs.size, 2 * count))
         bottom = np.empty_like(top)
         top[:, 0::2], top[:, 1::2] = re, -im
@@ -150,7 +167,7 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
     for i, e in enumerate(equations):
         left = e.lhs - e.regressors @ coefficients
         if e.detuning is not None:
-            left = left - 1j * e.detuning * solution[2 * count + shifts.index(i)]
+            left = left - 1j * e.detuning @ solution[2 * count + int(first[i]) : 2 * count + int(first[i + 1])]
         raw.append(left)
     return LinearFit(
         coefficients=coefficients,

@@ -104,6 +104,8 @@ class Projected:
         V, u, L[u]: regressors of A, G~ and E.
     body : ndarray, shape (m,), complex
         Projected volts of the body excitation.
+    drift : ndarray, shape (m, 2), complex
+        Projected V times time over the record, from -1 to 1: regressor of a resonance that moves steadily [V sqrt(s)].
     cubic : ndarray, shape (m, 2), complex
         Projected |V|^2 V of each axis [V^3].
     gram : ndarray, shape (m, m)
@@ -116,11 +118,18 @@ class Projected:
     drive: ComplexArray
     drive_rate: ComplexArray
     body: ComplexArray
+    drift: ComplexArray
     cubic: ComplexArray
     gram: FloatArray
 
 
-def project(recording: Recording, frequencies_hz: list[float], omega0_rad_s: float, decay_rate: float) -> Projected:
+def project(
+    recording: Recording,
+    frequencies_hz: list[float],
+    omega0_rad_s: float,
+    decay_rate: float,
+    resonance_shift_rad_s: FloatArray | float = 0.0,
+) -> Projected:
     """Project a recording on its lines.
 
     Parameters
@@ -133,6 +142,8 @@ def project(recording: Recording, frequencies_hz: list[float], omega0_rad_s: flo
         Frequency about which A and G are written.
     decay_rate : float
         Rough 1/tau [1/s], for the small term C p'/(2 i omega0).
+    resonance_shift_rad_s : float or ndarray, shape (n,)
+        How far the resonance is known to have moved at each row (temperature) [rad/s].
     """
     t, row_s = recording.t, 1.0 / recording.sample_rate_hz
     f = test_functions(t, row_s, frequencies_hz)
@@ -140,7 +151,7 @@ def project(recording: Recording, frequencies_hz: list[float], omega0_rad_s: flo
     volts = recording.pick
     drive = recording.drive * hold_factor(recording, omega, omega0_rad_s)[:, None]
     stretch = (omega / omega0_rad_s)[:, None]
-    detuning = ((omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s))[:, None]
+    detuning = ((omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s) - resonance_shift_rad_s)[:, None]
     slow = (omega - omega0_rad_s)[:, None] / (2.0 * omega0_rad_s)
     half_hold = 0.5 * float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
 
@@ -157,6 +168,7 @@ def project(recording: Recording, frequencies_hz: list[float], omega0_rad_s: flo
         drive=row_s * ((f.value + half_hold * f.first) @ drive),
         drive_rate=rate(recording.drive),
         body=row_s * f.value.sum(axis=1) * complex(body),
+        drift=row_s * (f.value @ (np.linspace(-1.0, 1.0, t.size)[:, None] * volts)),
         cubic=row_s * (f.value @ (np.abs(volts) ** 2 * volts)),
         gram=row_s * (f.value @ f.value.T),
     )

@@ -16,9 +16,9 @@ from ..quantity import Quantity
 from ..recording.recording import Campaign, Recording
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
-from .slow_flow_fit import SlowFlowEstimate, fit_slow_flow, usable_recordings
+from .slow_flow_fit import TEMPERATURE_WINDOW_K, SlowFlowEstimate, fit_slow_flow, usable_recordings
 
-__all__ = ["calibrate_sideband"]
+__all__ = ["SidebandProblem", "calibrate_sideband"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -34,6 +34,7 @@ def calibrate_sideband(
     priors: Priors | None = None,
     on_progress: Callable[[float], None] | None = None,
     with_convergence: bool = True,
+    temperature_window_k: float = TEMPERATURE_WINDOW_K,
 ) -> CalibrationResult:
     """Estimate rate, bias and scale factor of a force-rebalance gyro that was not turned.
 
@@ -47,6 +48,8 @@ def calibrate_sideband(
         Called with a fraction 0-1.
     with_convergence : bool
         Also estimate from growing subsets of the recordings.
+    temperature_window_k : float
+        Recordings further than this from the median temperature are left out [K].
 
     Raises
     ------
@@ -60,10 +63,10 @@ def calibrate_sideband(
             "No self-calibration sees it: take it from the factory."
         )
     priors = priors or Priors()
-    recordings, skipped = usable_recordings(campaign)
+    recordings, skipped = usable_recordings(campaign, temperature_window_k)
     if not recordings:
         raise CalibrationRefused("Campaign must hold force-rebalance recordings (ftr_x and ftr_y), but got none.")
-    problem = _Problem(recordings, campaign.factory, float(kappa), priors)
+    problem = SidebandProblem(recordings, campaign.factory, float(kappa), priors)
     values, covariance = problem.solve()
     if on_progress is not None:
         on_progress(0.5)
@@ -82,7 +85,7 @@ class _Derived:
     frame: PickoffFrame
 
 
-class _Problem:
+class SidebandProblem:
     """The estimate of one set of recordings and its propagation to derived quantities."""
 
     def __init__(self, recordings: list[Recording], factory: Mapping[str, Any], kappa: float, priors: Priors) -> None:
@@ -95,6 +98,8 @@ class _Problem:
         ratio = factory.get("drive_gain_ratio_x_over_y")
         self.drive_ratio = float(ratio) if isinstance(ratio, int | float) and math.isfinite(ratio) else None
         self.amplitude = float(factory.get("nominal_amplitude_v", 0.0)) or _main_amplitude(recordings)
+        # the oscillator runs at its own resonance, not at the mean of both: G ~ 1/omega, ppm of the scale factor
+        self.stretch = {axis: _reference(recordings, axis) / self.fit.omega0_rad_s for axis in _AXIS}
         self.volts = {axis: _held_volts(recordings, axis, self.amplitude) for axis in _AXIS}
 
     def derive(self, vector: FloatArray, nuisance: FloatArray) -> _Derived:
@@ -114,10 +119,10 @@ class _Problem:
             running[:, osc] += v.cubic[:, osc] * self.amplitude**2
             point = ftr_operating_point(running, G, np.zeros((2, 2), dtype=complex), self.amplitude, axis)
             gain = abs(G[1 - osc, 1 - osc])
-            slope = self.kappa * self.amplitude * (frame.ratio / gain if axis == "x" else -1.0 / (frame.ratio * gain))
+            slope = self.stretch[axis] * self.kappa * self.amplitude * (frame.ratio / gain if axis == "x" else -1.0 / (frame.ratio * gain))
             named[f"bias_{axis}"], named[f"scale_{axis}"] = point.rate_channel_v / slope, slope
             named[f"mission_bias_{axis}"], named[f"mission_scale_{axis}"] = _line(
-                running, response, G, E, self.volts[axis], self.amplitude, axis
+                running, self.stretch[axis] * response, G, E, self.volts[axis], self.amplitude, axis
             )
         named |= {"pickoff_ratio": frame.ratio, "pickoff_phase": frame.phase_rad, "pickoff_non_orthogonality": 0.5 * frame.skew}
         named["cross_damping"] = -float(symmetric[0, 1].real + symmetric[1, 0].real) / frame.ratio
@@ -134,19 +139,26 @@ class _Problem:
         return _Derived(tuple(named), np.array(list(named.values())), frame)
 
     def solve(self) -> tuple[_Derived, FloatArray]:
-        """Derived values and their covariance: measured noise and priors, by central differences."""
+        """Derived values and their covariance: measured noise (scaled up when the model does not fit) and priors."""
+        dof = max(self.fit.dof, 1)
+        reduced = self.fit.chi2 / dof
+        # a chi-square within chance of one says nothing against the measured noise
+        scale = reduced if reduced > 1.0 + 2.0 * math.sqrt(2.0 / dof) else 1.0
+        return self.propagate(scale * self.fit.covariance)
+
+    def propagate(self, parameter_covariance: FloatArray) -> tuple[_Derived, FloatArray]:
+        """Derived values and their covariance under a covariance of the parameter vector, priors added, by central differences."""
         vector = self.fit.vector()
         zero = np.zeros(NUISANCES)
         here = self.derive(vector, zero)
-        sd = np.sqrt(np.diag(self.fit.covariance))
-        scale = max(1.0, self.fit.chi2 / max(self.fit.dof, 1))
+        sd = np.sqrt(np.diag(parameter_covariance))
         columns = []
         for i in range(vector.size):
             step = np.zeros_like(vector)
             step[i] = sd[i]
             columns.append((self.derive(vector + step, zero).values - self.derive(vector - step, zero).values) / (2.0 * sd[i]))
         jacobian = np.column_stack(columns)
-        covariance = scale * jacobian @ self.fit.covariance @ jacobian.T
+        covariance = jacobian @ parameter_covariance @ jacobian.T
         for i in range(NUISANCES):
             step = np.zeros(NUISANCES)
             step[i] = 1.0
@@ -256,6 +268,11 @@ def _main_amplitude(recordings: list[Recording]) -> float:
     return float(np.median(unmodulated or values))
 
 
+def _reference(recordings: list[Recording], axis: str) -> float:
+    """Mean reference frequency of an oscillator axis [rad/s]."""
+    return float(np.mean([r.ref_omega_rad_s.mean() for r in recordings if r.command.oscillator_axis == axis]))
+
+
 def _held_volts(recordings: list[Recording], axis: str, amplitude: float) -> ComplexArray | None:
     """Where the device's loops really hold the pick-offs: a PLL or a rebalance that sits off zero biases the rate channel."""
     own = [
@@ -276,7 +293,7 @@ def _convergence(
     marks = sorted({max(1, round(len(loops) * (k + 1) / _CONVERGENCE_POINTS)) for k in range(_CONVERGENCE_POINTS)})
     for done, mark in enumerate(marks):
         try:
-            problem = _Problem(open_records + loops[:mark], factory, kappa, priors)
+            problem = SidebandProblem(open_records + loops[:mark], factory, kappa, priors)
             derived, covariance = problem.solve()
         except CalibrationRefused:
             continue

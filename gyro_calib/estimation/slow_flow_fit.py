@@ -26,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 #: recordings further than this from the median temperature are left out of the fit [K]
 TEMPERATURE_WINDOW_K = 0.5
 _ROUNDS = 2
+#: below this span the reference frequency is not regressed on temperature [K]
+_TEMPERATURE_SPAN_K = 0.1
 #: real cubic parameters of both axes
 _CUBIC_TERMS = 8
 
@@ -138,7 +140,7 @@ class SlowFlowEstimate:
         return SlowFlowParameters(A, reduced + A @ E, E, rest, cubic)
 
 
-def usable_recordings(campaign: Campaign) -> tuple[list[Recording], list[str]]:
+def usable_recordings(campaign: Campaign, window_k: float = TEMPERATURE_WINDOW_K) -> tuple[list[Recording], list[str]]:
     """Recordings that a fit at one temperature and one constant rate may use, and why others are left out."""
     wanted = [r for r in campaign if r.command.mode in ("ftr_x", "ftr_y") or _is_open(r)]
     skipped = []
@@ -148,7 +150,7 @@ def usable_recordings(campaign: Campaign) -> tuple[list[Recording], list[str]]:
         temperature = r.temperature_degc
         if "applied_rate" in r.extras:
             skipped.append(f"{r.label}: a rate was applied")
-        elif abs(temperature.mean() - median) > TEMPERATURE_WINDOW_K or np.ptp(temperature) > 2.0 * TEMPERATURE_WINDOW_K:
+        elif abs(temperature.mean() - median) > window_k or np.ptp(temperature) > 2.0 * window_k:
             skipped.append(f"{r.label}: temperature {temperature.min():.2f} to {temperature.max():.2f} degC, median {median:.2f}")
         elif r.command.excitation.kind not in ("none", "amplitude_modulation", "drive", "body"):
             skipped.append(f"{r.label}: excitation {r.command.excitation.kind}")
@@ -211,13 +213,18 @@ class _Data:
     @classmethod
     def of(cls, recordings: list[Recording], decay_rate: float) -> _Data:
         omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in recordings if r.command.oscillator_axis]))
+        slope, middle = _frequency_slope(recordings)
+
+        def shift(recording: Recording) -> FloatArray:
+            return slope * (recording.temperature_degc - middle)
+
         return cls(
             recordings=recordings,
             omega0=omega0,
             has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
             bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
-            signal=[project(r, _lines(r), omega0, decay_rate) for r in recordings],
-            quiet=[project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings],
+            signal=[project(r, _lines(r), omega0, decay_rate, shift(r)) for r in recordings],
+            quiet=[project(r, _quiet_lines(r), omega0, decay_rate, shift(r)) for r in recordings],
         )
 
     def columns(self, projected: list[Projected], *, cubic: bool) -> list[ComplexArray]:
@@ -234,13 +241,29 @@ class _Data:
         return columns
 
 
+def _frequency_slope(recordings: list[Recording]) -> tuple[float, float]:
+    """How the resonance moves with temperature [rad/s/K], from the closed-loop reference frequencies, and the mean temperature.
+
+    It brings the loops-off records, whose reference does not follow the resonance, to where the resonance was. Zero when the temperature
+    hardly moved: then its wander says nothing.
+    """
+    loops = [r for r in recordings if r.command.oscillator_axis]
+    temperature = np.array([r.temperature_degc.mean() for r in loops])
+    middle = float(temperature.mean())
+    if np.ptp(temperature) < _TEMPERATURE_SPAN_K:
+        return 0.0, middle
+    omega = np.array([r.ref_omega_rad_s.mean() for r in loops])
+    design = np.column_stack([[r.command.oscillator_axis == a for r in loops] for a in AXES] + [temperature - middle]).astype(float)
+    return float(np.linalg.lstsq(design, omega, rcond=None)[0][-1]), middle
+
+
 def _fit(data: _Data, *, cubic: bool, noise: dict[tuple[str, str, str], NoiseModel] | None = None) -> SlowFlowEstimate:
     """Both axes, with the noise measured along the way or given."""
     columns, quiet_columns = data.columns(data.signal, cubic=cubic), data.columns(data.quiet, cubic=cubic)
     fits: list[LinearFit] = []
     found: dict[tuple[str, str, str], NoiseModel] = dict(noise or {})
     for axis in range(2):
-        roles = [_role(r, axis) for r in data.recordings]
+        roles = [_role(r, axis, data.omega0) for r in data.recordings]
         flat = NoiseModel((1.0, 0.0, 0.0), 0.01)
         models = {(role, part): found.get((AXES[axis], role, part), flat) for role in set(roles) for part in ("re", "im")}
         fit = fit_axis(_equations(data, columns, roles, axis, models))
@@ -262,7 +285,7 @@ def _equations(
             gram=p.gram,
             sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
             sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
-            detuning=p.pick[:, axis] if role == "oscillator" else None,
+            detuning=np.column_stack([p.pick[:, axis], p.drift[:, axis]]) if role == "oscillator" else None,
         )
         for p, c, role in zip(data.signal, columns, roles, strict=True)
     ]
@@ -272,10 +295,11 @@ def _is_open(recording: Recording) -> bool:
     return recording.command.mode == "loops_off" and recording.command.excitation.kind in ("drive", "body")
 
 
-def _role(recording: Recording, axis: int) -> str:
+def _role(recording: Recording, axis: int, omega0: float) -> str:
+    """Recordings of one role share their noise: the pick-off's part of it grows with the distance from resonance."""
     oscillator = recording.command.oscillator_axis
     if oscillator is None:
-        return "open"
+        return f"open at {abs(recording.command.excitation.frequency_hz - omega0 / (2.0 * math.pi)):.0f} Hz"
     return "oscillator" if oscillator == AXES[axis] else "closed"
 
 
@@ -316,7 +340,7 @@ def _assemble(data: _Data, fits: list[LinearFit], noise: dict[tuple[str, str, st
     size = fits[0].covariance.shape[0]
     covariance = np.zeros((2 * size, 2 * size))
     covariance[:size, :size], covariance[size:, size:] = fits[0].covariance, fits[1].covariance
-    temperatures = np.array([r.temperature_degc.mean() for r in data.recordings])
+    temperatures = np.array([r.temperature_degc.mean() for r in data.recordings if r.command.oscillator_axis])
     blank = SlowFlowParameters(*(np.zeros((2, 2), dtype=complex) for _ in range(5)))
     estimate = SlowFlowEstimate(
         values=blank,
@@ -342,7 +366,9 @@ def _table(data: _Data, fits: list[LinearFit], noise: dict[tuple[str, str, str],
         for f in np.unique(p.frequency_hz):
             own = p.frequency_hz == f
             sd = [
-                math.sqrt(0.5 * sum(float(noise[AXES[a], _role(r, a), part].density(np.array([f]))[0]) for part in ("re", "im")))
+                math.sqrt(
+                    0.5 * sum(float(noise[AXES[a], _role(r, a, data.omega0), part].density(np.array([f]))[0]) for part in ("re", "im"))
+                )
                 for a in range(2)
             ]
             pick, drive = (_phasor(q[own]) for q in (p.pick, p.drive))

@@ -2,7 +2,7 @@
 
 from .instrument import Instrument
 from .plan import Limits, Plan, Step
-from .plans import PLANS, QUALITIES, feedthrough_plan, plan_by_name, self_calibration_plan, sideband_plan, static_plan
+from .plans import PLANS, QUALITIES, cubic_plan, feedthrough_plan, plan_by_name, self_calibration_plan, sideband_plan, static_plan
 from .runner import Progress, run_plan
 from .simulated import SimulatedInstrument
 
@@ -15,6 +15,7 @@ __all__ = [
     "Progress",
     "SimulatedInstrument",
     "Step",
+    "cubic_plan",
     "feedthrough_plan",
     "plan_by_name",
     "run_plan",

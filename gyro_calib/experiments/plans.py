@@ -13,7 +13,7 @@ from ..errors import DataError
 from ..recording.command import Command, Excitation, Setpoints
 from .plan import Limits, Plan, Step
 
-__all__ = ["PLANS", "QUALITIES", "feedthrough_plan", "plan_by_name", "self_calibration_plan", "sideband_plan", "static_plan"]
+__all__ = ["PLANS", "QUALITIES", "cubic_plan", "feedthrough_plan", "plan_by_name", "self_calibration_plan", "sideband_plan", "static_plan"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,8 @@ INDEX = 0.15
 #: detuning of the feedthrough and of the body excitation records [Hz]
 FEEDTHROUGH_HZ = (-60.0, -20.0, 20.0, 60.0)
 BODY_HZ = (-40.0, 40.0)
+#: drive amplitudes over the mission's that separate cubic from linear terms
+CUBIC_AMPLITUDES = (0.6, 1.0, 1.4)
 #: the loops need this long after a command; the first is a change of the oscillator axis [s]
 SWAP_SETTLE_S, SETTLE_S, OPEN_SETTLE_S = 3.0, 1.0, 2.0
 
@@ -102,7 +104,17 @@ def self_calibration_plan(factory: Mapping[str, Any], *, quality: str = "standar
     )
 
 
+def cubic_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+    """The self-calibration at three amplitudes: cubic terms grow with the square and show only so (document 000, Eqs. 20-27)."""
+    q, amplitude = _quality(quality), _amplitude(factory)
+    steps = _open_steps(q, factory)
+    for share in CUBIC_AMPLITUDES:
+        steps += _loop_steps(q, amplitude * share, f"_a{share:g}")
+    return Plan("cubic", tuple(steps), limits or Limits(), _mission(factory))
+
+
 PLANS: dict[str, Callable[..., Plan]] = {
+    "cubic": cubic_plan,
     "sideband": sideband_plan,
     "feedthrough": feedthrough_plan,
     "static": static_plan,
@@ -124,17 +136,17 @@ def _mission(factory: Mapping[str, Any]) -> Command:
     return Command("ftr_x", setpoints=Setpoints(_amplitude(factory)))
 
 
-def _loop_steps(q: Quality, amplitude: float) -> list[Step]:
+def _loop_steps(q: Quality, amplitude: float, suffix: str = "") -> list[Step]:
     steps: list[Step] = []
     axes = [a for turn in range(q.rounds) for a in ("xy" if turn % 2 == 0 else "yx")]
     previous = ""
     for count, axis in enumerate(axes):
         base = Command(f"ftr_{axis}", setpoints=Setpoints(amplitude))
         turn = count // 2
-        steps.append(Step(f"static_{axis}_{turn}", base, q.static_s, SETTLE_S if axis == previous else SWAP_SETTLE_S))
+        steps.append(Step(f"static_{axis}_{turn}{suffix}", base, q.static_s, SETTLE_S if axis == previous else SWAP_SETTLE_S))
         for line in q.lines_hz:
             command = Command(f"ftr_{axis}", Excitation("amplitude_modulation", line, INDEX), Setpoints(amplitude))
-            steps.append(Step(f"side_{axis}_{line:g}hz_{turn}", command, q.record_s, SETTLE_S))
+            steps.append(Step(f"side_{axis}_{line:g}hz_{turn}{suffix}", command, q.record_s, SETTLE_S))
         previous = axis
     return steps
 

@@ -126,7 +126,7 @@ class CalibrationInForce:
             record = store.load_last_good().record if unsaved else store.revert()
             self._record, self._saved, self._problem = record, True, ""
             self._on_change()
-            if before is None or before == record:
+            if before is None or before.record_id == record.record_id:
                 return f"put {record.record_id} in force, in place of what could not be read"
             return f"reverted from {before.record_id} to {record.record_id}"
 

@@ -55,7 +55,7 @@ _DIAGNOSTICS_S = 1.0
 #: progress inside a step is told this often [s]
 _HEARTBEAT_S = 0.5
 #: a driver that answers later than this is asked again [s]
-_WATCH_TIMEOUT_S = 2.0
+_WATCH_TIMEOUT_S = 1.0
 #: a run that is told to stop puts its gyro back; this is all it gets when the process ends [s]
 _CLOSE_S = 15.0
 
@@ -90,7 +90,7 @@ class CalibrationNode(Node):
             notice=lambda text: self.get_logger().warning(text),
         )
         self._client = GyroClient(self, settings.gyro_node, timeout_s=_WATCH_TIMEOUT_S)
-        self._watch = GyroWatch(self._client.get, self._on_gyro)
+        self._watch = GyroWatch(self._client.get, self._meet, self._publish_status)
         self._channels = self.resolve_topic_name("channels")
         self._make_services()
         if settings.device_id:
@@ -158,6 +158,7 @@ class CalibrationNode(Node):
 
     def _ready(self) -> GyroFacts:
         """Whether a run could begin now, from what is known without asking."""
+        self._refuse_company()
         facts, settings = self._watch.facts, self._settings
         if facts is None or self._watch.problem:
             raise DataError(self._watch.problem)
@@ -169,7 +170,6 @@ class CalibrationNode(Node):
         if (age_s := self._instrument.recent.age_s) > settings.stream_timeout_s:
             since = f"none came for {age_s:.1f} s" if math.isfinite(age_s) else "none has come"
             raise DataError(f"Stream of the gyro must deliver blocks, but {since}. Check that the gyro runs, then call again.")
-        self._refuse_company()
         return facts
 
     def _refuse_company(self) -> None:
@@ -217,12 +217,6 @@ class CalibrationNode(Node):
         _same_device(device_id, GyroFacts.read(self._client.get).device_id)
 
     # -- the watch's thread -----------------------------------------------------------------------------------------------------------
-
-    def _on_gyro(self) -> None:
-        facts = self._watch.facts
-        if facts is not None and not self._watch.problem:
-            self._meet(facts)
-        self._publish_status()
 
     def _meet(self, facts: GyroFacts) -> None:
         """The gyro says who it is: load its record, or refuse it; a run with another one ends."""
@@ -290,13 +284,14 @@ class CalibrationNode(Node):
             self._work.heartbeat(self._instrument.recorded_fraction)
 
     def _make_status(self) -> DiagnosticStatus:
-        status, record = self._runs.status, self._in_force.record
+        status, record, gyro = self._runs.status, self._in_force.record, self._watch.facts
         silent = self._instrument.recent.age_s > self._settings.stream_timeout_s
         facts: dict[str, object] = {
             "calibration": record.record_id if record is not None else "",
             "is_calibrated": self._calibrated(record),
             "saved": self._in_force.saved,
-            "device_id": self._present,
+            # only what runs begin with: who waits for it can call one
+            "device_id": gyro.device_id if gyro is not None else "",
             "stream": "silent" if silent else "alive",
         }
         if record is not None:

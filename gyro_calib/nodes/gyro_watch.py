@@ -55,16 +55,26 @@ class GyroWatch:
     ----------
     get : callable
         ``get(names) -> values``; may block, is called in the watch's thread.
-    on_answer : callable
+    on_facts : callable of GyroFacts
+        Called in that thread with every answer, before anybody else sees it.
+    on_attempt : callable
         Called in that thread after every attempt.
     period_s : float
         Steady time between attempts [s].
     """
 
-    def __init__(self, get: Callable[[Sequence[str]], Mapping[str, Any]], on_answer: Callable[[], None], *, period_s: float = 1.0) -> None:
-        self._get, self._on_answer, self._period_s = get, on_answer, period_s
+    def __init__(
+        self,
+        get: Callable[[Sequence[str]], Mapping[str, Any]],
+        on_facts: Callable[[GyroFacts], None],
+        on_attempt: Callable[[], None],
+        *,
+        period_s: float = 1.0,
+    ) -> None:
+        self._get, self._on_facts, self._on_attempt, self._period_s = get, on_facts, on_attempt, period_s
         self._facts: GyroFacts | None = None
-        self._problem = "The gyro has not answered yet."
+        self._problem = "The gyro has not answered yet. Check that its driver runs, and wait a moment."
+        self._failures = 0
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="gyro watch", daemon=True)
 
@@ -75,8 +85,8 @@ class GyroWatch:
 
     @property
     def problem(self) -> str:
-        """Why the last attempt had no answer; "" when it had one."""
-        return self._problem
+        """Why there is no answer; "" while there is. One answer that is lost says nothing, two do."""
+        return self._problem if self._facts is None or self._failures > 1 else ""
 
     def start(self) -> None:
         """Begin to ask."""
@@ -91,19 +101,21 @@ class GyroWatch:
     def ask(self) -> None:
         """One attempt, in the caller's thread."""
         try:
-            self._facts, self._problem = GyroFacts.read(self._get), ""
+            facts = GyroFacts.read(self._get)
+            self._on_facts(facts)
+            self._facts, self._problem, self._failures = facts, "", 0
         except GyroCalibError as error:
-            self._problem = str(error)
+            self._problem, self._failures = str(error), self._failures + 1
 
     def _run(self) -> None:
         while not self._end.is_set():
             try:
                 self.ask()
                 if not self._end.is_set():
-                    self._on_answer()
+                    self._on_attempt()
             except Exception as error:
                 # an answer of no known shape, or the context shut down under the thread: the watch itself must go on
-                self._problem = f"The gyro cannot be asked, {type(error).__name__}: {error}"
+                self._problem, self._failures = f"The gyro cannot be asked, {type(error).__name__}: {error}", self._failures + 1
             self._end.wait(self._period_s)
 
 

@@ -8,6 +8,7 @@ means in :mod:`gyro_calib.calibration.errormodel`.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -32,6 +33,8 @@ __all__ = ["ImuCorrector", "main"]
 
 _LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
 _TICK_S = 1.0
+#: numbers in a text, such as a temperature: their change alone is no news
+_NUMBER = re.compile(r"\d[\d.]*")
 
 
 class ImuCorrector(Node):
@@ -48,7 +51,7 @@ class ImuCorrector(Node):
         declare_parameters(self)
         settings, axes, names = read_settings(self), sense_axes(self), input_names(self)
         self._published, self._ready = 0, False
-        self._said: tuple[int, str] | None = None
+        self._said: tuple[int, str, tuple[str, ...]] | None = None
         self._gyros: list[GyroInput] = []
         self._filler = ImuFiller(axes, self._value("frame_id"), self._value("accel_max_age_s"))
         self._join = StampJoin(len(names), self._value("join_tolerance_s"))
@@ -125,12 +128,15 @@ class ImuCorrector(Node):
 
     def _on_change(self) -> None:
         """Publish the state when its meaning changed; numbers alone wait for the tick."""
-        meaning = self._meaning()
-        if not self._ready or meaning == self._said:
+        if not self._ready:
             return
-        self._said = meaning
-        self._status.publish(self._make_status())
-        self._log(*meaning)
+        level, text = self._meaning()
+        records = tuple(gyro.state.record.record_id for gyro in self._gyros if gyro.state.record is not None)
+        meaning = (level, _NUMBER.sub("#", text), records)
+        if meaning != self._said:
+            self._said = meaning
+            self._status.publish(self._make_status())
+            self._log(level, text)
 
     def _log(self, level: int, text: str) -> None:
         # rclpy wants a line of its own for each severity

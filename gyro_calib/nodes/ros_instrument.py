@@ -225,7 +225,7 @@ class RosInstrument:
         """Newest row of a stream that is alive; what waited before is forgotten, errors too."""
         self._stream.clear()
         since = time.monotonic()
-        while (row := self._stream.latest) is None or self._stream.silence_s(0.0) > self._stall_s:
+        while (row := self._stream.latest) is None or self._stream.silence_s(0.0) > self._patience_s:
             self._check_alive(since)
             self._stream.take(_LOOK_S)
         self._lost = False
@@ -248,8 +248,12 @@ class RosInstrument:
                     "Check that the driver counts commands."
                 )
 
+    @property
+    def _patience_s(self) -> float:
+        return min(_FAREWELL_S, self._stall_s) if self._lost else self._stall_s
+
     def _check_alive(self, since_s: float) -> None:
-        if self._stream.silence_s(since_s) > (_FAREWELL_S if self._lost else self._stall_s):
+        if self._stream.silence_s(since_s) > self._patience_s:
             self._lost = True
             raise ExperimentAborted(
                 f"Stream {self._topic} must deliver blocks, but none came for {self._stall_s:g} s. "

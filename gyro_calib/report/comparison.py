@@ -52,7 +52,7 @@ class Comparison:
             "after": {"bias": self.after_bias.to_json(), "scale_factor_error": self.after_scale_factor.to_json()},
             "error": {
                 "bias": self.error_bias.to_json(),
-                "scale_factor": self.error_scale_factor.to_json(),
+                "scale_factor_error": self.error_scale_factor.to_json(),
                 "rate": self.error_rate.to_json(),
             },
         }
@@ -94,8 +94,9 @@ def comparison_table(comparison: Comparison) -> Table:
         _row("bias", comparison.before_bias, comparison.after_bias),
         _row("scale-factor error", comparison.before_scale_factor, comparison.after_scale_factor),
     ]
-    header = ("against the hidden truth", "before", "after", "claimed sd", "unit", "better by")
-    return Table("Before and after", header, tuple(rows), caption="Scale factor relative to the angular gain κ of the factory data.")
+    header = ("", "before", "after", "claimed sd", "unit", "better by")
+    caption = "Scale factor relative to the angular gain κ of the factory data."
+    return Table("Before and after, against the hidden truth", header, tuple(rows), caption=caption)
 
 
 def _row(name: str, before: Quantity, after: Quantity) -> tuple[str, ...]:

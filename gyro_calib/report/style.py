@@ -53,7 +53,7 @@ thead th { border-top: 0; color: var(--muted); font-weight: 500; }
 th:first-child { text-align: left; font-weight: 500; }
 .table .note, details .note { margin-top: 10px; }
 footer { margin-top: 24px; color: var(--muted); font-size: 13px; overflow-wrap: anywhere; }
-@media (max-width: 760px) {
+@media screen and (max-width: 760px) {
   main { padding: 24px 14px 40px; }
   h1 { font-size: 24px; }
   .verdict { font-size: 16px; padding: 12px 14px; }
@@ -68,6 +68,9 @@ footer { margin-top: 24px; color: var(--muted); font-size: 13px; overflow-wrap: 
   body { font-size: 11pt; }
   main { max-width: none; padding: 0; }
   .tile, .panel, .table tr, .notes { break-inside: avoid; }
-  details > *:not(summary) { display: block; }
+  .panels { gap: 12px; }
+  .tiles { grid-template-columns: repeat(4, 1fr); }
+  .figure { font-size: 18px; }
+  details::details-content { display: block; content-visibility: visible; height: auto; }
 }
 """

@@ -72,12 +72,14 @@ def to_rich(table: Table) -> Any:
     """The table for a terminal, as a ``rich.table.Table``."""
     from rich import box
     from rich.table import Table as RichTable
+    from rich.text import Text
 
-    drawn = RichTable(
-        title=table.title or None, caption=table.caption or None, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold"
-    )
+    # as Text, or rich would take units in brackets for markup
+    title, caption = Text(table.title, style="bold"), Text(table.caption)
+    drawn = RichTable(title=title if table.title else None, caption=caption if table.caption else None, box=box.SIMPLE_HEAD)
+    drawn.title_justify = drawn.caption_justify = "left"
     for k, cell in enumerate(table.header):
-        drawn.add_column(cell, justify="left" if k == 0 else "right", no_wrap=k == 0)
+        drawn.add_column(Text(cell), justify="left" if k == 0 else "right", no_wrap=k == 0)
     for row in table.rows:
-        drawn.add_row(*row)
+        drawn.add_row(*map(Text, row))
     return drawn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any
 
 from ..errors import DataError
 
-__all__ = ["PAGE", "PAPER", "Theme", "figure", "save_figure", "to_svg"]
+__all__ = ["PAGE", "PAPER", "Theme", "figure", "require_matplotlib", "require_plot_suffix", "save_figure", "to_svg"]
 
 #: width and height of one panel [inch]; text of 10 pt then stays readable when a phone shrinks the panel to its width
 PANEL_INCHES = (5.0, 3.3)
@@ -97,6 +98,31 @@ def _settings(theme: Theme) -> dict[str, Any]:
     }
 
 
+def require_matplotlib() -> None:
+    """Ask before an hour of work whether its result can be drawn.
+
+    Raises
+    ------
+    DataError
+        matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise DataError("Plots need matplotlib, but it is not installed. Install it with: pip install 'gyro_calib[viz]'.")
+
+
+def require_plot_suffix(path: Path) -> None:
+    """Ask for the suffix of a plot file before an hour of work.
+
+    Raises
+    ------
+    DataError
+        The suffix is not one of :data:`PLOT_SUFFIXES`, or matplotlib is not installed.
+    """
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise DataError(f"Plot file must end in {', '.join(PLOT_SUFFIXES)}, but got {path.name!r}.")
+    require_matplotlib()
+
+
 @contextmanager
 def figure(theme: Theme, rows: int = 1, columns: int = 1, **options: Any) -> Iterator[tuple[Any, Any]]:
     """``(figure, axes)`` in the look of ``theme``; without pyplot, so nothing global is touched.
@@ -115,11 +141,10 @@ def figure(theme: Theme, rows: int = 1, columns: int = 1, **options: Any) -> Ite
     DataError
         matplotlib is not installed.
     """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DataError("Plots need matplotlib. Install it with: pip install 'gyro_calib[viz]'.") from error
+    require_matplotlib()
+    import matplotlib
+    from matplotlib.figure import Figure
+
     with matplotlib.rc_context(_settings(theme)):
         drawn = Figure(figsize=(PANEL_INCHES[0] * columns, PANEL_INCHES[1]), layout="constrained")
         yield drawn, drawn.subplots(rows, columns, **options)
@@ -170,7 +195,6 @@ def save_figure(drawn: Any, path: Path) -> None:
     DataError
         The suffix is not one of :data:`PLOT_SUFFIXES`.
     """
-    if path.suffix.lower() not in PLOT_SUFFIXES:
-        raise DataError(f"Plot file must end in {', '.join(PLOT_SUFFIXES)}, but got {path.name!r}.")
+    require_plot_suffix(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     drawn.savefig(path, dpi=150)

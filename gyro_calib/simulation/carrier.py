@@ -1,7 +1,7 @@
 """The carrier kernel: every converter sample of the two modes, drives, pick-offs and loops, recorded rows out.
 
-Linear motion is exact (:mod:`.propagator`); nonlinear forces and noise are kicks between exact steps (Strang splitting, symmetric, so they add
-no numerical damping). Demodulation is by the phase reference at each sample, filtered by the boxcar cascade of :mod:`.filters`.
+Linear motion is exact (:mod:`.propagator`); nonlinear forces and noise are kicks between exact steps (Strang splitting, symmetric, so they
+add no numerical damping). Demodulation is by the phase reference at each sample, filtered by the boxcar cascade of :mod:`.filters`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from ..device.averaging import instant_force
-from .control import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, control_step
 from ..jit import kernel
+from .control import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, control_step
 from .propagator import exact_propagator
 
 __all__ = ["FLAG_CONVERTERS", "FLAG_NONLINEAR", "FLAG_PICKOFF_CUBIC", "carrier_rows", "emit_row"]
@@ -29,24 +29,30 @@ def _converter(value, full_scale, lsb):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def emit_row(steps, weights, acc, out):  # type: ignore[no-untyped-def]
-    """Pass the control steps (controls, 9) of one row through the row filter: write the row to ``out``, shift the accumulators ``acc`` (3, 9)."""
-    for j in range(steps.shape[0]):
-        w0, w1, w2 = weights[0, j], weights[1, j], weights[2, j]
-        for q in range(9):
-            acc[0, q] += w0 * steps[j, q]
-            acc[1, q] += w1 * steps[j, q]
-            acc[2, q] += w2 * steps[j, q]
-    for q in range(9):
-        out[q] = acc[0, q]
-        acc[0, q] = acc[1, q]
-        acc[1, q] = acc[2, q]
-        acc[2, q] = 0.0
+def emit_row(steps, row_w, acc, out):  # type: ignore[no-untyped-def]
+    """Pass the control steps (controls, 9) of one row through the row filter: write the row to ``out``, carry on ``acc`` (2, 9).
+
+    ``row_w`` (2, 3, controls): weights of the pick-offs, which have passed the converter filter, and of the rest, which have it folded in.
+    """
+    # three columns at a time, so that the nine sums stay in registers
+    for q in range(0, 9, 3):
+        a0, a1, a2 = acc[0, q], acc[0, q + 1], acc[0, q + 2]
+        b0, b1, b2 = acc[1, q], acc[1, q + 1], acc[1, q + 2]
+        c0 = c1 = c2 = 0.0
+        first, rest = row_w[0 if q < 4 else 1], row_w[0 if q < 2 else 1]
+        for j in range(steps.shape[0]):
+            s0, s1, s2 = steps[j, q], steps[j, q + 1], steps[j, q + 2]
+            a0, a1, a2 = a0 + first[0, j] * s0, a1 + rest[0, j] * s1, a2 + rest[0, j] * s2
+            b0, b1, b2 = b0 + first[1, j] * s0, b1 + rest[1, j] * s1, b2 + rest[1, j] * s2
+            c0, c1, c2 = c0 + first[2, j] * s0, c1 + rest[2, j] * s1, c2 + rest[2, j] * s2
+        out[q], out[q + 1], out[q + 2] = a0, a1, a2
+        acc[0, q], acc[0, q + 1], acc[0, q + 2] = b0, b1, b2
+        acc[1, q], acc[1, q + 1], acc[1, q + 2] = c0, c1, c2
 
 
 @kernel
 def carrier_rows(  # type: ignore[no-untyped-def]
-    z, loop, param, adc_acc, held, row_acc, adc_w, row_w, physics, drive, pick, feed, body, nonlinear, converters, const, flags, noise, out
+    z, loop, param, adc_acc, row_acc, adc_w, row_w, physics, drive, pick, feed, body, nonlinear, converters, const, flags, noise, out
 ):
     """Simulate ``out.shape[0]`` rows, in place.
 
@@ -56,14 +62,12 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         Motion (x, y, x'/w, y'/w) [m].
     loop, param : ndarray
         State and parameters of :func:`.control.control_step`.
-    adc_acc : ndarray, shape (3, 4)
-        Accumulators of the demodulated pick-offs.
-    held : ndarray, shape (2, 5)
-        Drive envelopes (x_c, x_s, y_c, y_s) and reference frequency of the last two control periods, newest first.
-    row_acc : ndarray, shape (3, 9)
-        Accumulators of the rows.
-    adc_w, row_w : ndarray, shape (3, samples) and (3, controls)
-        Polyphase weights.
+    adc_acc : ndarray, shape (2, 4)
+        Accumulators of the demodulated pick-offs: of the period under way and of the one after it.
+    row_acc : ndarray, shape (2, 9)
+        Accumulators of the row under way and of the one after it.
+    adc_w, row_w : ndarray, shape (3, samples) and (2, 3, controls)
+        Polyphase weights; ``row_w`` as in :func:`emit_row`.
     physics : ndarray, shape (rows, 7)
         k11, k12, k22 [1/s^2], c11, c12, c21, c22 [1/s] (damping plus Coriolis) of each row.
     drive, pick, feed : ndarray, shape (rows or 1, 8)
@@ -85,16 +89,14 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     """
     rows = out.shape[0]
     samples = adc_w.shape[1]
-    controls = row_w.shape[1]
+    controls = row_w.shape[2]
     dt, w, kick, pick_noise = const[0], const[1], const[2], const[3]
     phi = np.zeros((4, 4))
     gamma = np.zeros((4, 2))
     steps = np.empty((controls, 9))
     volts = np.empty((samples, 4))
-    shares = adc_w.sum(axis=1)
-    sh0, sh1, sh2 = shares[0], shares[1], shares[2]
-    w00, w01, w02, w03 = adc_acc[0, 0], adc_acc[0, 1], adc_acc[0, 2], adc_acc[0, 3]
-    w10, w11, w12, w13 = adc_acc[1, 0], adc_acc[1, 1], adc_acc[1, 2], adc_acc[1, 3]
+    n00, n01, n02, n03 = adc_acc[0, 0], adc_acc[0, 1], adc_acc[0, 2], adc_acc[0, 3]
+    n10, n11, n12, n13 = adc_acc[1, 0], adc_acc[1, 1], adc_acc[1, 2], adc_acc[1, 3]
     nonlinear_on, converters_on, cubic_on = flags & FLAG_NONLINEAR != 0, flags & FLAG_CONVERTERS != 0, flags & FLAG_PICKOFF_CUBIC != 0
     half_kick = -0.5 * dt / w
     n = 0
@@ -156,8 +158,21 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
                 n += 4
             phase = (phase + omega * dt * samples) % (2.0 * math.pi)
-            PLACEHOLDER
+            xc, xs, yc, ys = n00, n01, n02, n03
+            n00, n01, n02, n03 = n10, n11, n12, n13
+            n10 = n11 = n12 = n13 = 0.0
+            for j in range(samples):
+                h0, h1, h2 = adc_w[0, j], adc_w[1, j], adc_w[2, j]
+                v0, v1, v2, v3 = volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3]
+                xc, xs, yc, ys = xc + h0 * v0, xs + h0 * v1, yc + h0 * v2, ys + h0 * v3
+                n00, n01, n02, n03 = n00 + h1 * v0, n01 + h1 * v1, n02 + h1 * v2, n03 + h1 * v3
+                n10, n11, n12, n13 = n10 + h2 * v0, n11 + h2 * v1, n12 + h2 * v2, n13 + h2 * v3
+            line = steps[step]
+            line[0], line[1], line[2], line[3] = xc, xs, yc, ys
+            line[4], line[5], line[6], line[7], line[8] = uxc, uxs, uyc, uys, omega
             control_step(loop, param, xc, xs, yc, ys)
         emit_row(steps, row_w, row_acc, out[row])
     z[0], z[1], z[2], z[3] = x, y, vx, vy
     loop[S_PHASE] = phase
+    adc_acc[0, 0], adc_acc[0, 1], adc_acc[0, 2], adc_acc[0, 3] = n00, n01, n02, n03
+    adc_acc[1, 0], adc_acc[1, 1], adc_acc[1, 2], adc_acc[1, 3] = n10, n11, n12, n13

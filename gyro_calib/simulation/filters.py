@@ -24,9 +24,14 @@ def boxcar_cascade(length: int) -> FloatArray:
     return taps
 
 
-def polyphase_weights(length: int) -> FloatArray:
-    """Weights, shape (3, length): ``[k, j]`` is what sample j of a block gives to the output at the end of the k-th block from its own."""
+def polyphase_weights(length: int, after: FloatArray | None = None) -> FloatArray:
+    """Weights, shape (3, length): ``[k, j]`` is what sample j of a block gives to the output at the end of the k-th block from its own.
+
+    ``after``, shape (3,), are taps of a filter that the samples have not passed yet: folded in.
+    """
     taps = boxcar_cascade(length)
+    if after is not None:
+        taps = np.convolve(taps, after)
     weights = np.zeros((ORDER, length))
     for k in range(ORDER):
         for j in range(length):

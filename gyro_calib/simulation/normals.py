@@ -1,8 +1,8 @@
 """Standard normals from raw bits, some four times faster than a rejection method: the inverse distribution by table.
 
-Every normal takes 32 bits of a numpy bit generator, whatever their value: 1 of sign, 31 of tail probability ``v / 2**32``, ``v`` in (0, 2**31).
-The table holds a parabola for each sixteenth of each octave of ``v``, so the tails are as exact as the middle: to 2e-6 of a standard deviation,
-out to 6.3 of them. A fixed cost of bits also makes the noise of a stretch independent of the blocks in which it is simulated.
+Every normal takes 32 bits of a numpy bit generator, whatever their value: one of sign and 31 of tail probability ``v / 2**32``. The table
+holds a parabola for each sixteenth of each octave of ``v``, so the tails are as exact as the middle: to 2e-6 of a standard deviation, out
+to 6.3 of them. A fixed cost of bits also makes the noise of a stretch independent of the blocks in which it is simulated.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ __all__ = ["NormalSource", "normals_from_words"]
 
 #: words transformed at a time: fits the innermost cache
 BLOCK = 256
+#: normals made at a time: small enough that the words never leave the cache
+_BATCH = 32 * BLOCK
 #: v = 0.5 .. 2**31 - 0.5, as exponents of two
 _LOWEST, _OCTAVES, _PER_OCTAVE = -1, 32, 16
 # a float64 v: exponent and first four bits of the mantissa number the segment, the mantissa is the place in it
@@ -44,7 +46,7 @@ def _table() -> NDArray[np.float64]:
 
 @kernel
 def normals_from_words(words, c0, c1, c2, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` (n,), float32, with normals of ``words`` (n,), uint32, for n a multiple of :data:`BLOCK`; ``c0 + c1 m + c2 m^2`` the table."""
+    """Fill ``out`` (n,) float32 with the normals of ``words`` (n,) uint32; n a multiple of BLOCK, the table ``c0 + c1 m + c2 m^2``."""
     value = np.empty(BLOCK)
     bits = value.view(np.uint64)
     z = np.empty(BLOCK)
@@ -73,15 +75,20 @@ class NormalSource:
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._bits = np.random.SFC64(rng.integers(0, 2**63, size=4).tolist())
-        self._left: NDArray[np.float32] = np.empty(0, dtype=np.float32)
+        self._buffer: NDArray[np.float32] = np.empty(0, dtype=np.float32)
+        self._spare: NDArray[np.float32] = np.empty(0, dtype=np.float32)
 
     def draw(self, count: int) -> NDArray[np.float32]:
-        """Next ``count`` normals, shape (count,), float32; the same however the calls divide them."""
-        missing = count - self._left.size
-        if missing > 0:
-            words = self._bits.random_raw(-(-missing // BLOCK) * (BLOCK // 2)).view(np.uint32)
-            fresh = np.empty(words.size, dtype=np.float32)
-            normals_from_words(words, *_table(), fresh)
-            self._left = np.concatenate([self._left, fresh]) if self._left.size else fresh
-        out, self._left = self._left[:count], self._left[count:]
-        return out
+        """Next ``count`` normals, shape (count,), float32, good until the next call; the same however the calls divide them."""
+        c0, c1, c2 = _table()
+        kept = self._spare.size
+        total = kept + max(0, -(-(count - kept) // _BATCH)) * _BATCH
+        if self._buffer.size < total:
+            self._buffer = np.empty(total, dtype=np.float32)
+        buffer = self._buffer[:total]
+        buffer[:kept] = self._spare
+        for start in range(kept, total, _BATCH):
+            words = self._bits.random_raw(_BATCH // 2).view(np.uint32)
+            normals_from_words(words, c0, c1, c2, buffer[start : start + _BATCH])
+        self._spare = buffer[count:].copy()
+        return buffer[:count]

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from ..device import Device, J
 from ..device.operating_point import OperatingPoint
 from . import carrier, control, filters
+from .normals import NormalSource
 from .slow_flow import slow_flow_rows
 
 __all__ = ["CarrierPlant", "Plant", "SlowFlowPlant"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+#: the slow flow is interpolated over temperature between nodes at most this far apart [K]
+_NODE_K = 0.1
 
 
 class Plant(Protocol):
@@ -37,12 +40,13 @@ class _Base:
     def __init__(self, device: Device, rng: np.random.Generator, loop: FloatArray, start: OperatingPoint, *, noisy: bool) -> None:
         e = device.electronics
         self.device = device
-        self.rng = rng
         self.noisy = noisy
+        self._normals = NormalSource(rng)
         self.loop = loop
         self.param = np.zeros(control.N_PARAM)
         self.adc_w = filters.polyphase_weights(e.samples_per_control)
-        self.row_w = filters.polyphase_weights(e.controls_per_row)
+        self.shares = self.adc_w.sum(axis=1)
+        self.row_w = np.stack([filters.polyphase_weights(e.controls_per_row, after) for after in (None, self.shares)])
         samples = filters.group_delay_samples(e.samples_per_control) + e.samples_per_control * filters.group_delay_samples(
             e.controls_per_row
         )
@@ -52,10 +56,9 @@ class _Base:
         self.channels0 = np.array(
             [volts[0].real, volts[0].imag, volts[1].real, volts[1].imag, *loop[control.S_DRIVE : control.S_DRIVE + 4]]
         )
-        self.held = np.tile(np.append(self.channels0[4:], loop[control.S_OMEGA]), (3, 1))
         # accumulators hold what earlier, steady samples would have left behind
-        tail = np.array([self.row_w[1:].sum(), self.row_w[2].sum(), 0.0])
-        self.row_acc = tail[:, None] * np.append(self.channels0, loop[control.S_OMEGA])[None, :]
+        tail = np.repeat([[w[1:].sum(), w[2].sum()] for w in self.row_w], [4, 5], axis=0).T
+        self.row_acc = tail * np.append(self.channels0, loop[control.S_OMEGA])
 
     def force_psd(self, temperature_degc: float) -> float:
         """Two-sided density of the force noise per mass [(m/s^2)^2/Hz]."""
@@ -69,10 +72,9 @@ class _Base:
         """One-sided amplitude density of the pick-off noise [V/sqrt(Hz)]."""
         return self.device.noise.pickoff_v_rthz if self.noisy else 0.0
 
-    def normals(self, count: int, columns: int) -> NDArray[np.float32]:
-        if not self.noisy:
-            return np.zeros((count, columns), dtype=np.float32)
-        return self.rng.standard_normal((count, columns), dtype=np.float32)
+    def normals(self, count: int) -> NDArray[np.float32]:
+        """Standard normals, shape (count,); zeros without noise."""
+        return self._normals.draw(count) if self.noisy else np.zeros(count, dtype=np.float32)
 
 
 class CarrierPlant(_Base):
@@ -84,7 +86,7 @@ class CarrierPlant(_Base):
         self.w = device.resonator.omega0_rad_s
         motion = np.linalg.solve(device.pickoff.matrix(self._rise0()), start.pick)
         self.z = np.concatenate([motion.real, -motion.imag * omega / self.w])
-        tail = np.array([self.adc_w[1:].sum(), self.adc_w[2].sum(), 0.0])
+        tail = np.array([self.adc_w[1:].sum(), self.adc_w[2].sum()])
         self.adc_acc = tail[:, None] * self.channels0[None, :4]
         e = device.electronics
         full = (e.adc_full_scale_v, e.dac_full_scale_v)
@@ -112,14 +114,14 @@ class CarrierPlant(_Base):
         dt = 1.0 / d.electronics.adc_rate_hz
         mean = float(temperature_degc.mean())
         const = np.array([dt, self.w, math.sqrt(self.force_psd(mean) * dt) / self.w, self.pickoff_density() * math.sqrt(0.5 / dt)])
-        noise = self.normals(count * self.row_w.shape[1] * self.adc_w.shape[1], 4)
+        noise = self.normals(4 * count * self.row_w.shape[2] * self.adc_w.shape[1])
         out = np.empty((count, 9))
         rise = temperature_degc - d.resonator.reference_temperature_degc
-        drive = _scaled(_flat(d.drive.matrix()), 1.0 + d.drive.gain_tempco_per_k * rise)
-        pick = _scaled(_flat(d.pickoff.matrix()), 1.0 + d.pickoff.gain_tempco_per_k * rise)
+        drive = _scaled(_parts(d.drive.matrix()), 1.0 + d.drive.gain_tempco_per_k * rise)
+        pick = _scaled(_parts(d.pickoff.matrix()), 1.0 + d.pickoff.gain_tempco_per_k * rise)
         carrier.carrier_rows(
-            self.z, self.loop, self.param, self.adc_acc, self.held, self.row_acc, self.adc_w, self.row_w,
-            _row_physics(d, rate_rad_s, temperature_degc), drive, pick, _flat(d.feedthrough.matrix()), d.drive.gain_m_s2_per_v,
+            self.z, self.loop, self.param, self.adc_acc, self.row_acc, self.adc_w, self.row_w,
+            _row_physics(d, rate_rad_s, temperature_degc), drive, pick, _parts(d.feedthrough.matrix()), d.drive.gain_m_s2_per_v,
             np.array(d.nonlinearity.coefficients), self.converters, const, self.flags, noise, out,
         )  # fmt: skip
         return out
@@ -130,45 +132,49 @@ class SlowFlowPlant(_Base):
 
     def __init__(self, device: Device, rng: np.random.Generator, loop: FloatArray, start: OperatingPoint, *, noisy: bool) -> None:
         super().__init__(device, rng, loop, start, noisy=noisy)
-        self.p = start.pick.astype(complex)
         volts = start.pick + device.feedthrough.matrix() @ start.drive
-        self.means = np.tile(volts, (3, 1))
+        self.p = _parts(start.pick)
+        self.means = np.tile(_parts(volts), (2, 1))
         self.pick = device.pickoff.matrix()
+        self.unpick = np.linalg.inv(self.pick)
+        self._coriolis = _parts(device.slow_flow().dA_dOmega)
 
     def rows(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
         """See :class:`Plant`."""
-        d, count = self.device, rate_rad_s.size
-        # the flow is interpolated between the extremes of the stretch: its change over a quarter of a second is linear in temperature
-        cold, hot = float(temperature_degc.min()), float(temperature_degc.max())
-        low, high = d.slow_flow(0.0, cold), d.slow_flow(0.0, hot)
-        share = ((temperature_degc - cold) / (hot - cold) if hot > cold else np.zeros(count))[:, None, None]
-        a = low.A + share * (high.A - low.A) + rate_rad_s[:, None, None] * low.dA_dOmega
-        g = low.G + share * (high.G - low.G)
-        omega0 = low.omega0_rad_s + share[:, 0, 0] * (high.omega0_rad_s - low.omega0_rad_s)
-        body = (-0.5j / low.omega0_rad_s * self.pick @ np.ones(2)) * d.drive.gain_m_s2_per_v
+        d = self.device
         period = 1.0 / d.electronics.control_rate_hz
-        response = d.pickoff.gain_v_per_m / (2.0 * low.omega0_rad_s)
+        omega0 = d.resonator.omega0_rad_s
         nonlinear = np.array(d.nonlinearity.coefficients)
         const = np.array(
             [
                 period,
-                math.sqrt(2.0 * self.force_psd(cold) * period) * response,
+                math.sqrt(2.0 * self.force_psd(float(temperature_degc.mean())) * period) * d.pickoff.gain_v_per_m / (2.0 * omega0),
                 self.pickoff_density() / math.sqrt(period),
                 float(nonlinear.any()),
             ]
         )
-        out = np.empty((count, 9))
+        cold, span = float(temperature_degc.min()), float(np.ptp(temperature_degc))
+        nodes = 2 + int(span / _NODE_K)
+        table = np.stack([self._flow_at(t, period) for t in np.linspace(cold, cold + span, nodes)])
+        place = (temperature_degc - cold) * ((nodes - 1) / span if span > 0.0 else 0.0)
+        out = np.empty((rate_rad_s.size, 9))
         slow_flow_rows(
-            self.p, self.loop, self.param, self.means, self.held, self.row_acc, self.adc_w.sum(axis=1), self.row_w, a, g,
-            np.tile(body, (count, 1)), self.pick, np.linalg.inv(self.pick), nonlinear, d.feedthrough.matrix(), omega0, const,
-            self.normals(count * self.row_w.shape[1], 8), out,
+            self.p, self.loop, self.param, self.means, self.row_acc, self.shares, self.row_w,
+            table, place, self._coriolis * period, rate_rad_s, self.pick, self.unpick, nonlinear, _parts(d.feedthrough.matrix()), const,
+            self.normals(8 * rate_rad_s.size * self.row_w.shape[2]), out,
         )  # fmt: skip
         return out
 
+    def _flow_at(self, temperature_degc: float, period: float) -> FloatArray:
+        """Flow without rotation at a temperature, shape (FLOW_COLUMNS,)."""
+        flow = self.device.slow_flow(0.0, temperature_degc)
+        body = -0.5j / flow.omega0_rad_s * self.device.drive.gain_m_s2_per_v * self.pick.sum(axis=1)
+        return np.concatenate([_parts(flow.A) * period, _parts(flow.G) * period, _parts(body) * period, [flow.omega0_rad_s]])
 
-def _flat(matrix: ComplexArray) -> FloatArray:
-    """Complex 2x2 as re, im of xx, xy, yx, yy, shape (8,)."""
-    return np.ascontiguousarray(matrix.reshape(4)).view(np.float64).copy()
+
+def _parts(values: ComplexArray) -> FloatArray:
+    """Complex numbers as re, im one after the other; a 2x2 matrix by rows, shape (8,)."""
+    return np.array(values, dtype=complex).reshape(-1).view(np.float64)
 
 
 def _scaled(flat: FloatArray, factor: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ __all__ = ["GyroSimulator"]
 
 FloatArray = NDArray[np.float64]
 #: device seconds simulated per kernel call: bounds the memory of the noise samples
-_CHUNK_S = 0.25
+_CHUNK_S = {"carrier": 0.25, "slow_flow": 4.0}
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,13 @@ class GyroSimulator:
         self._command = Command()
         self._segment = 0
         self._rows_made = 0
-        self._wander = TemperatureWander(device.environment, rng, noisy=noisy)
+        # each noise has its own stream, so that the rows do not depend on how the calls divide the time
+        self._wander = TemperatureWander(device.environment, np.random.default_rng(rng.integers(0, 2**63, size=4)), noisy=noisy)
         kind: type[Plant] = CarrierPlant if fidelity == "carrier" else SlowFlowPlant
         start = operating_point(device, self._command, 0.0)
         self._plant = kind(device, rng, initial_loop_state(device, self._command, start), start, noisy=noisy)
         self._plant.param[:] = loop_parameters(device, self._command)
+        self._chunk_s = _CHUNK_S[fidelity]
         self._clock = _Clock(1.0 / device.electronics.sample_rate_hz, self._plant.row_delay_s)
 
     @property
@@ -130,7 +132,7 @@ class GyroSimulator:
             return np.zeros((0, 12))
         rates = np.atleast_1d(np.asarray(rate_rad_s, dtype=float))
         rates = rates[np.minimum((np.arange(count) * rates.size) // count, rates.size - 1)]
-        chunk = max(1, round(_CHUNK_S / self._clock.row_s))
+        chunk = max(1, round(self._chunk_s / self._clock.row_s))
         return np.concatenate([self._advance_rows(rates[i : i + chunk]) for i in range(0, count, chunk)])
 
     def _advance_rows(self, rates: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
 """The slow-flow kernel: theory.md Eq. 3 advanced over each control period, under the same loops and filters as the carrier.
 
-``p' = (A - i delta) p + G u + f`` with ``delta = omega - omega0`` constant over a control period T: ``p1 = p + phi1(X) (X p + T G u)``,
-``X = T (A - i delta)``. Any approximation of phi1 keeps the steady state exact. Here ``phi1(M - i theta) = phi1(-i theta) + phi1'(-i theta) M``
-with ``M = T A``, ``theta = T delta``, the series in theta to the fourth order: what is left out is ``|M|^2 / 6`` and ``theta^5 / 720`` of the step.
+``p' = (A - i delta) p + G u + f`` with ``delta = omega - omega0`` constant over a control period T, so ``p1 = p + phi1(X) (X p + T G u)``
+with ``X = T (A - i delta)``; the steady state is exact whatever the approximation of phi1. Here ``phi1(M - i theta) = phi1(-i theta) +
+phi1'(-i theta) M`` with ``M = T A``, ``theta = T delta`` and series in theta: ``|M|^2 / 6`` and ``theta^5 / 720`` of the step are left out.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear):
 
 @kernel
 def slow_flow_rows(  # type: ignore[no-untyped-def]
-    p, loop, param, means, held, row_acc, shares, row_w, flow, pick, unpick, nonlinear, feed, const, noise, out
+    p, loop, param, means, row_acc, shares, row_w, table, place, coriolis, rate, pick, unpick, nonlinear, feed, const, noise, out
 ):
     """Simulate ``out.shape[0]`` rows, in place.
 
@@ -44,12 +44,16 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
         State and parameters of :func:`.control.control_step`.
     means : ndarray, shape (2, 4)
         Mean pick-off with feedthrough of the last two control periods, newest first [V].
-    held : ndarray, shape (2, 5)
-        Drive envelopes and reference frequency of the last two control periods, newest first.
     row_acc, shares, row_w
-        Filter state, share of each control period in the converter filter, shape (3,), and row weights.
-    flow : ndarray, shape (rows, FLOW_COLUMNS)
-        See :data:`FLOW_COLUMNS`.
+        Filter state, share of each control period in the converter filter, shape (3,), and weights as in :func:`.carrier.emit_row`.
+    table : ndarray, shape (nodes, FLOW_COLUMNS)
+        The flow without rotation over temperature, two nodes or more.
+    place : ndarray, shape (rows,)
+        Where each row lies between the nodes, 0 to nodes - 1.
+    coriolis : ndarray, shape (8,)
+        T dA/dOmega.
+    rate : ndarray, shape (rows,)
+        Input rate [rad/s].
     pick, unpick : ndarray, shape (2, 2), complex
         P [V/m] and its inverse, for the nonlinear forces.
     nonlinear : ndarray, shape (6,)
@@ -64,20 +68,24 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
     out : ndarray, shape (rows, 9)
         As in :func:`.carrier.carrier_rows`.
     """
-    controls = row_w.shape[1]
+    controls = row_w.shape[2]
     period, kick, pick_noise, curved = const[0], const[1], const[2], const[3] > 0.0
     sh0, sh1, sh2 = shares[0], shares[1], shares[2]
     e0, e1, e2, e3, e4, e5, e6, e7 = feed[0], feed[1], feed[2], feed[3], feed[4], feed[5], feed[6], feed[7]
     steps = np.empty((controls, 9))
+    f = np.empty(FLOW_COLUMNS)
     pxr, pxi, pyr, pyi = p[0], p[1], p[2], p[3]
-    # history of the converter filter: suffix 1 one period ago, 2 two periods ago
+    # converter filter: means one period ago, two periods ago
     m1xr, m1xi, m1yr, m1yi = means[0, 0], means[0, 1], means[0, 2], means[0, 3]
     m2xr, m2xi, m2yr, m2yi = means[1, 0], means[1, 1], means[1, 2], means[1, 3]
-    u1xr, u1xi, u1yr, u1yi, w1 = held[0, 0], held[0, 1], held[0, 2], held[0, 3], held[0, 4]
-    u2xr, u2xi, u2yr, u2yi, w2 = held[1, 0], held[1, 1], held[1, 2], held[1, 3], held[1, 4]
     n = 0
     for row in range(out.shape[0]):
-        f = flow[row]
+        node = min(int(place[row]), table.shape[0] - 2)
+        share = place[row] - node
+        for q in range(FLOW_COLUMNS):
+            f[q] = table[node, q] + share * (table[node + 1, q] - table[node, q])
+        for q in range(8):
+            f[q] += rate[row] * coriolis[q]
         a0, a1, a2, a3, a4, a5, a6, a7 = f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7]
         g0, g1, g2, g3, g4, g5, g6, g7 = f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15]
         for step in range(controls):
@@ -111,16 +119,11 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             vyr, vyi = sh0 * myr + (sh1 * m1yr + sh2 * m2yr), sh0 * myi + (sh1 * m1yi + sh2 * m2yi)
             s = steps[step]
             s[0], s[1], s[2], s[3] = vxr, vxi, vyr, vyi
-            s[4], s[5] = sh0 * uxr + (sh1 * u1xr + sh2 * u2xr), sh0 * uxi + (sh1 * u1xi + sh2 * u2xi)
-            s[6], s[7] = sh0 * uyr + (sh1 * u1yr + sh2 * u2yr), sh0 * uyi + (sh1 * u1yi + sh2 * u2yi)
-            s[8] = sh0 * omega + (sh1 * w1 + sh2 * w2)
+            s[4], s[5], s[6], s[7], s[8] = uxr, uxi, uyr, uyi, omega
             m2xr, m2xi, m2yr, m2yi, m1xr, m1xi, m1yr, m1yi = m1xr, m1xi, m1yr, m1yi, mxr, mxi, myr, myi
-            u2xr, u2xi, u2yr, u2yi, w2, u1xr, u1xi, u1yr, u1yi, w1 = u1xr, u1xi, u1yr, u1yi, w1, uxr, uxi, uyr, uyi, omega
             control_step(loop, param, vxr, vxi, vyr, vyi)
             n += 8
         emit_row(steps, row_w, row_acc, out[row])
     p[0], p[1], p[2], p[3] = pxr, pxi, pyr, pyi
     means[0, 0], means[0, 1], means[0, 2], means[0, 3] = m1xr, m1xi, m1yr, m1yi
     means[1, 0], means[1, 1], means[1, 2], means[1, 3] = m2xr, m2xi, m2yr, m2yi
-    held[0, 0], held[0, 1], held[0, 2], held[0, 3], held[0, 4] = u1xr, u1xi, u1yr, u1yi, w1
-    held[1, 0], held[1, 1], held[1, 2], held[1, 3], held[1, 4] = u2xr, u2xi, u2yr, u2yi, w2

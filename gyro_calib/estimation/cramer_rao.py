@@ -1,0 +1,98 @@
+"""Cramer-Rao bound of the slow-flow parameters: what no unbiased estimate can beat with these signals and this noise.
+
+The bound of a linear model ``L[V] = sum_k r_k(t) c_k + e(t)`` with white circular ``e`` of two-sided density S per quadrature is the
+inverse of ``F = sum_records integral Re[r_j* r_k] / S dt`` over the whole record (rectangular window, every instant), with each record's
+own resonance shift as a nuisance. It shares neither the projection nor the weights nor the noise estimate of the product estimator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..device import Device
+from ..recording.recording import Recording
+
+__all__ = ["device_noise_density", "slow_flow_bound"]
+
+FloatArray = NDArray[np.float64]
+
+
+def device_noise_density(device: Device, temperature_degc: float) -> Callable[[float], float]:
+    """Two-sided density of ``e`` per quadrature [V^2/s^2/Hz] of a simulated device, by detuning [rad/s].
+
+    Force noise of acceleration density S_f gives ``2 S_f (P/2w)^2``; pick-off noise of one-sided density n gives ``n^2 |i delta + 1/tau|^2``.
+    """
+    noise = device.noise
+    thermal = device.resonator.thermal_acceleration_psd(temperature_degc) if noise.thermomechanical else 0.0
+    force = thermal + 0.5 * (noise.drive_v_rthz * device.drive.gain_m_s2_per_v) ** 2
+    response = device.pickoff.gain_v_per_m / (2.0 * device.resonator.omega0_rad_s)
+    decay = device.resonator.decay_rate(temperature_degc)
+
+    def density(detuning_rad_s: float) -> float:
+        return 2.0 * force * response**2 + noise.pickoff_v_rthz**2 * (detuning_rad_s**2 + decay**2)
+
+    return density
+
+
+def slow_flow_bound(
+    recordings: list[Recording], omega0_rad_s: float, density: Callable[[float], float], *, has_feedthrough: bool, bodies: list[float]
+) -> FloatArray:
+    """Covariance bound of the parameter vector of :class:`.slow_flow_fit.SlowFlowEstimate` (without cubic terms), shape (n, n).
+
+    Parameters
+    ----------
+    recordings : list of Recording
+        What was recorded; the signals are far above their noise and enter as they are.
+    omega0_rad_s : float
+        Frequency about which A is written.
+    density : callable
+        Noise density of a detuning.
+    has_feedthrough, bodies
+        As in the fit: E is an unknown; body frequencies [Hz].
+    """
+    blocks = [_axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies) for axis in range(2)]
+    size = blocks[0].shape[0]
+    bound = np.zeros((2 * size, 2 * size))
+    bound[:size, :size], bound[size:, size:] = blocks
+    return bound
+
+
+def _axis_bound(
+    recordings: list[Recording],
+    axis: int,
+    omega0: float,
+    density: Callable[[float], float],
+    has_feedthrough: bool,
+    bodies: list[float],
+) -> FloatArray:
+    count = 2 * (4 + 2 * int(has_feedthrough) + len(bodies))
+    shifts = [i for i, r in enumerate(recordings) if r.command.oscillator_axis == "xy"[axis]]
+    information = np.zeros((count + len(shifts), count + len(shifts)))
+    for i, r in enumerate(recordings):
+        detuning = r.ref_omega_rad_s - omega0
+        columns = [r.pick[:, 0], r.pick[:, 1], r.drive[:, 0], r.drive[:, 1]]
+        if has_feedthrough:
+            columns += [1j * detuning * r.drive[:, 0], 1j * detuning * r.drive[:, 1]]
+        excitation = r.command.excitation
+        columns += [
+            np.full(len(r), excitation.volts * (excitation.kind == "body" and excitation.frequency_hz == f), complex) for f in bodies
+        ]
+        complex_columns = np.column_stack(columns)
+        real = np.empty((2 * len(r), count + len(shifts)))
+        real[:] = 0.0
+        real[: len(r), 0:count:2], real[: len(r), 1:count:2] = complex_columns.real, -complex_columns.imag
+        real[len(r) :, 0:count:2], real[len(r) :, 1:count:2] = complex_columns.imag, complex_columns.real
+        if i in shifts:
+            own = count + shifts.index(i)
+            real[: len(r), own], real[len(r) :, own] = -r.pick[:, axis].imag, r.pick[:, axis].real
+        weight = 1.0 / (density(float(detuning.mean())) * r.sample_rate_hz)
+        information += weight * real.T @ real
+    scale = np.sqrt(np.diag(information))
+    inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    if not math.isfinite(float(inverse.sum())):
+        raise np.linalg.LinAlgError("The recordings do not excite every parameter: the bound does not exist.")
+    return np.asarray(inverse[:count, :count])
