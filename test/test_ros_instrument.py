@@ -77,11 +77,12 @@ def test_without_settling_a_recording_begins_with_the_segment(instrument: RosIns
 
 def test_what_went_by_between_two_recordings_is_not_in_the_second(instrument: RosInstrument, gyro: FakeGyro) -> None:
     instrument.configure(Command("ftr_x"))
-    instrument.record(0.5)
+    end = instrument.record(0.5).t[-1]
+    wait_for(lambda: gyro._sim.time_s > end + 0.3, what="blocks that nobody takes")
     gyro.drop_block()
     wait_for(lambda: not gyro._faults, what="the lost block")
-    since = gyro._sim.time_s
-    wait_for(lambda: gyro._sim.time_s > since + 0.5, what="later blocks")
+    end = gyro._sim.time_s
+    wait_for(lambda: gyro._sim.time_s > end + 0.3, what="later blocks")
     assert instrument.record(0.5).extras["attempts"] == 1
 
 

@@ -25,16 +25,20 @@ _EXTRA_TERM = 6.0
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Two-sided density ``c_0 + c_1/f + c_2 f^2`` of the residual [V^2/s^2/Hz], floor below ``lowest_hz``."""
+    """Two-sided density ``c_0 + c_1/f + c_2 f^2`` of the residual [V^2/s^2/Hz], floor below ``lowest_hz``.
+
+    ``carrier`` is what recordings differ by from one another beyond that, at the carrier line itself (run-to-run wander, slower than a record).
+    """
 
     coefficients: tuple[float, float, float]
     lowest_hz: float
+    carrier: float = 0.0
 
     def density(self, frequency_hz: FloatArray) -> FloatArray:
         """Density at each frequency, shape as the argument."""
         f = np.maximum(np.abs(frequency_hz), self.lowest_hz)
         c = self.coefficients
-        return np.asarray(c[0] + c[1] / f + c[2] * f**2)
+        return np.asarray(c[0] + c[1] / f + c[2] * f**2 + self.carrier * (np.asarray(frequency_hz) == 0.0))
 
 
 def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float) -> NoiseModel:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from ..errors import CalibrationRefused
 from ..recording.recording import Campaign, Recording
@@ -26,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 #: recordings further than this from the median temperature are left out of the fit [K]
 TEMPERATURE_WINDOW_K = 0.5
 _ROUNDS = 2
+#: fewer carrier lines of one role say nothing of the scatter between records
+_FEWEST_RUNS = 4
 #: below this span the reference frequency is not regressed on temperature [K]
 _TEMPERATURE_SPAN_K = 0.1
 #: real cubic parameters of both axes
@@ -194,7 +196,7 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float, *, cubic: bool
         poor = _fit(data, cubic=False, noise=rich.noise)
         gain = poor.chi2 - rich.chi2
         ratio = (gain / _CUBIC_TERMS) / (rich.chi2 / max(rich.dof, 1))
-        asked = ratio > f_distribution.isf(1e-3, _CUBIC_TERMS, max(rich.dof, 1))
+        asked = ratio > fdtri(_CUBIC_TERMS, max(rich.dof, 1), 1.0 - 1e-3)
         return replace(rich if asked else plain, cubic_gain=gain)
     return _fit(data, cubic=cubic)
 
@@ -270,6 +272,8 @@ def _fit(data: _Data, *, cubic: bool, noise: dict[tuple[str, str, str], NoiseMod
         for _ in range(0 if noise else _ROUNDS):
             models = _measure_noise(data, quiet_columns, roles, axis, fit.coefficients)
             fit = fit_axis(_equations(data, columns, roles, axis, models))
+            models = _run_to_run(data, roles, models, fit)
+            fit = fit_axis(_equations(data, columns, roles, axis, models))
         fits.append(fit)
         found |= {(AXES[axis], role, part): model for (role, part), model in models.items()}
     return _assemble(data, fits, found, cubic=cubic)
@@ -333,6 +337,30 @@ def _measure_noise(
         models[role, "re"] = fit_noise(lines, residual.real**2, lowest)
         models[role, "im"] = fit_noise(lines, residual.imag**2, lowest)
     return models
+
+
+def _run_to_run(
+    data: _Data, roles: list[str], models: dict[tuple[str, str], NoiseModel], fit: LinearFit
+) -> dict[tuple[str, str], NoiseModel]:
+    """Add what the carrier lines of a role scatter by beyond the noise inside its records.
+
+    A flicker floor or a wander slower than a record shows only between records. It is taken up when the scatter exceeds chance.
+    """
+    widened = dict(models)
+    for role in set(roles):
+        if role == "oscillator":
+            continue  # each record's own resonance shift is a nuisance there: its carrier line says nothing of the noise
+        members = [i for i, r in enumerate(roles) if r == role]
+        for part in ("re", "im"):
+            carriers = [fit.residuals[i][data.signal[i].frequency_hz == 0.0] for i in members]
+            squares = np.concatenate([np.square(c.real if part == "re" else c.imag) for c in carriers])
+            model = models[role, part]
+            ratio = float(squares.mean()) / float(model.density(np.zeros(1))[0])
+            if squares.size >= _FEWEST_RUNS and ratio > 1.0 + 2.0 * math.sqrt(2.0 / squares.size):
+                # one degree of freedom in four is spent on the coefficients that the carrier lines determine
+                excess = (4.0 / 3.0 * ratio - 1.0) * float(model.density(np.zeros(1))[0])
+                widened[role, part] = replace(model, carrier=excess)
+    return widened
 
 
 def _assemble(data: _Data, fits: list[LinearFit], noise: dict[tuple[str, str, str], NoiseModel], *, cubic: bool) -> SlowFlowEstimate:

@@ -68,8 +68,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         Accumulators of the row under way and of the one after it.
     adc_w, row_w : ndarray, shape (3, samples) and (2, 3, controls)
         Polyphase weights; ``row_w`` as in :func:`emit_row`.
-    physics : ndarray, shape (rows, 7)
-        k11, k12, k22 [1/s^2], c11, c12, c21, c22 [1/s] (damping plus Coriolis) of each row.
+    physics : ndarray, shape (rows, 8)
+        k11, k12, k22 [1/s^2], c11, c12, c21, c22 [1/s] (damping plus Coriolis), force-noise kick [m/s per sample, over w] of each row.
     drive, pick, feed : ndarray, shape (rows or 1, 8)
         B [m/s^2/V], P [V/m], E: re, im of xx, xy, yx, yy. Drive and pick per row.
     body : float
@@ -78,8 +78,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         See :class:`gyro_calib.device.Nonlinearity`.
     converters : ndarray, shape (5,)
         ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2].
-    const : ndarray, shape (4,)
-        Sample time [s], nominal w [rad/s], force-noise velocity kick [m/s per sample, divided by w], pick-off noise [V per sample].
+    const : ndarray, shape (3,)
+        Sample time [s], nominal w [rad/s], pick-off noise [V per sample].
     flags : int
         Which of the rarer branches are on.
     noise : ndarray, shape (4 samples,), float32
@@ -90,7 +90,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     rows = out.shape[0]
     samples = adc_w.shape[1]
     controls = row_w.shape[2]
-    dt, w, kick, pick_noise = const[0], const[1], const[2], const[3]
+    dt, w, pick_noise = const[0], const[1], const[2]
     phi = np.zeros((4, 4))
     gamma = np.zeros((4, 2))
     steps = np.empty((controls, 9))
@@ -111,7 +111,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         f30, f31, f32, f33 = phi[3, 0], phi[3, 1], phi[3, 2], phi[3, 3]
         g00, g01, g10, g11 = gamma[0, 0], gamma[0, 1], gamma[1, 0], gamma[1, 1]
         g20, g21, g30, g31 = gamma[2, 0], gamma[2, 1], gamma[3, 0], gamma[3, 1]
-        b, pk = drive[row], pick[row]
+        b, pk, kick = drive[row], pick[row], p[7]
         for step in range(controls):
             omega = loop[S_OMEGA]
             uxc, uxs, uyc, uys = loop[S_DRIVE], loop[S_DRIVE + 1], loop[S_DRIVE + 2], loop[S_DRIVE + 3]

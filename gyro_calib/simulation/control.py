@@ -10,7 +10,6 @@ import math
 
 from ..jit import kernel
 
-
 MODE_FTR_X, MODE_FTR_Y, MODE_LOOPS_OFF = 0, 1, 2
 EXC_NONE, EXC_AMPLITUDE, EXC_FREQUENCY, EXC_SECONDARY, EXC_DRIVE, EXC_BODY = 0, 1, 2, 3, 4, 5
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +19,7 @@ __all__ = ["CarrierPlant", "Plant", "SlowFlowPlant"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-#: the slow flow is interpolated over temperature between nodes at most this far apart [K]
+#: what depends on temperature is interpolated between multiples of this [K]
 _NODE_K = 0.1
 
 
@@ -32,6 +33,29 @@ class Plant(Protocol):
 
     def rows(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
         """Next rows: eight channels [V] and the reference frequency [rad/s], shape (n, 9)."""
+
+
+class _OverTemperature:
+    """A vector over temperature, tabulated where it is needed; on a fixed grid, so that rows do not depend on how calls divide the time."""
+
+    def __init__(self, at: Callable[[float], FloatArray]) -> None:
+        self._at = at
+        self._nodes: dict[int, FloatArray] = {}
+
+    def table(self, temperature_degc: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Nodes around the temperatures, shape (nodes, columns), and the place of each temperature among them, 0 to nodes - 1."""
+        place = temperature_degc / _NODE_K
+        first, last = math.floor(place.min()), math.floor(place.max()) + 1
+        for node in range(first, last + 1):
+            if node not in self._nodes:
+                self._nodes[node] = self._at(node * _NODE_K)
+        return np.stack([self._nodes[node] for node in range(first, last + 1)]), place - first
+
+    def rows(self, temperature_degc: FloatArray) -> FloatArray:
+        """The vector at each temperature, shape (n, columns)."""
+        table, place = self.table(temperature_degc)
+        node = np.minimum(place.astype(np.intp), table.shape[0] - 2)
+        return np.asarray(table[node] + (place - node)[:, None] * np.diff(table, axis=0)[node])
 
 
 class _Base:
@@ -84,6 +108,7 @@ class CarrierPlant(_Base):
         super().__init__(device, rng, loop, start, noisy=noisy)
         omega = loop[control.S_OMEGA]
         self.w = device.resonator.omega0_rad_s
+        self._physics = _OverTemperature(self._physics_at)
         motion = np.linalg.solve(device.pickoff.matrix(self._rise0()), start.pick)
         self.z = np.concatenate([motion.real, -motion.imag * omega / self.w])
         tail = np.array([self.adc_w[1:].sum(), self.adc_w[2].sum()])
@@ -112,19 +137,27 @@ class CarrierPlant(_Base):
         """See :class:`Plant`."""
         d, count = self.device, rate_rad_s.size
         dt = 1.0 / d.electronics.adc_rate_hz
-        mean = float(temperature_degc.mean())
-        const = np.array([dt, self.w, math.sqrt(self.force_psd(mean) * dt) / self.w, self.pickoff_density() * math.sqrt(0.5 / dt)])
+        const = np.array([dt, self.w, self.pickoff_density() * math.sqrt(0.5 / dt)])
         noise = self.normals(4 * count * self.row_w.shape[2] * self.adc_w.shape[1])
         out = np.empty((count, 9))
+        physics = self._physics.rows(temperature_degc)
+        physics[:, 3:7] += np.multiply.outer(rate_rad_s, 2.0 * d.resonator.angular_gain * J.ravel())
         rise = temperature_degc - d.resonator.reference_temperature_degc
         drive = _scaled(_parts(d.drive.matrix()), 1.0 + d.drive.gain_tempco_per_k * rise)
         pick = _scaled(_parts(d.pickoff.matrix()), 1.0 + d.pickoff.gain_tempco_per_k * rise)
         carrier.carrier_rows(
             self.z, self.loop, self.param, self.adc_acc, self.row_acc, self.adc_w, self.row_w,
-            _row_physics(d, rate_rad_s, temperature_degc), drive, pick, _parts(d.feedthrough.matrix()), d.drive.gain_m_s2_per_v,
+            physics, drive, pick, _parts(d.feedthrough.matrix()), d.drive.gain_m_s2_per_v,
             np.array(d.nonlinearity.coefficients), self.converters, const, self.flags, noise, out,
         )  # fmt: skip
         return out
+
+    def _physics_at(self, temperature_degc: float) -> FloatArray:
+        """k11, k12, k22, c11, c12, c21, c22 without rotation, and the kick, as :func:`.carrier.carrier_rows` takes them."""
+        k = self.device.resonator.stiffness_matrix(temperature_degc)
+        c = self.device.resonator.damping_matrix(temperature_degc)
+        kick = math.sqrt(self.force_psd(temperature_degc) / self.device.electronics.adc_rate_hz) / self.w
+        return np.array([k[0, 0], k[0, 1], k[1, 1], *c.ravel(), kick])
 
 
 class SlowFlowPlant(_Base):
@@ -137,39 +170,32 @@ class SlowFlowPlant(_Base):
         self.means = np.tile(_parts(volts), (2, 1))
         self.pick = device.pickoff.matrix()
         self.unpick = np.linalg.inv(self.pick)
-        self._coriolis = _parts(device.slow_flow().dA_dOmega)
+        self._period = 1.0 / device.electronics.control_rate_hz
+        self._coriolis = _parts(device.slow_flow().dA_dOmega) * self._period
+        self._flow = _OverTemperature(self._flow_at)
 
     def rows(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
         """See :class:`Plant`."""
         d = self.device
-        period = 1.0 / d.electronics.control_rate_hz
-        omega0 = d.resonator.omega0_rad_s
         nonlinear = np.array(d.nonlinearity.coefficients)
-        const = np.array(
-            [
-                period,
-                math.sqrt(2.0 * self.force_psd(float(temperature_degc.mean())) * period) * d.pickoff.gain_v_per_m / (2.0 * omega0),
-                self.pickoff_density() / math.sqrt(period),
-                float(nonlinear.any()),
-            ]
-        )
-        cold, span = float(temperature_degc.min()), float(np.ptp(temperature_degc))
-        nodes = 2 + int(span / _NODE_K)
-        table = np.stack([self._flow_at(t, period) for t in np.linspace(cold, cold + span, nodes)])
-        place = (temperature_degc - cold) * ((nodes - 1) / span if span > 0.0 else 0.0)
+        const = np.array([self._period, self.pickoff_density() / math.sqrt(self._period), float(nonlinear.any())])
+        table, place = self._flow.table(temperature_degc)
+        noise = self.normals(8 * rate_rad_s.size * self.row_w.shape[2])
         out = np.empty((rate_rad_s.size, 9))
         slow_flow_rows(
-            self.p, self.loop, self.param, self.means, self.row_acc, self.shares, self.row_w,
-            table, place, self._coriolis * period, rate_rad_s, self.pick, self.unpick, nonlinear, _parts(d.feedthrough.matrix()), const,
-            self.normals(8 * rate_rad_s.size * self.row_w.shape[2]), out,
+            self.p, self.loop, self.param, self.means, self.row_acc, self.shares, self.row_w, table, place, self._coriolis, rate_rad_s,
+            self.pick, self.unpick, nonlinear, _parts(d.feedthrough.matrix()), const, noise, out,
         )  # fmt: skip
         return out
 
-    def _flow_at(self, temperature_degc: float, period: float) -> FloatArray:
+    def _flow_at(self, temperature_degc: float) -> FloatArray:
         """Flow without rotation at a temperature, shape (FLOW_COLUMNS,)."""
-        flow = self.device.slow_flow(0.0, temperature_degc)
-        body = -0.5j / flow.omega0_rad_s * self.device.drive.gain_m_s2_per_v * self.pick.sum(axis=1)
-        return np.concatenate([_parts(flow.A) * period, _parts(flow.G) * period, _parts(body) * period, [flow.omega0_rad_s]])
+        d, period = self.device, self._period
+        flow = d.slow_flow(0.0, temperature_degc)
+        body = -0.5j / flow.omega0_rad_s * d.drive.gain_m_s2_per_v * self.pick.sum(axis=1)
+        response = d.pickoff.gain_v_per_m / (2.0 * d.resonator.omega0_rad_s)
+        kick = math.sqrt(2.0 * self.force_psd(temperature_degc) * period) * response
+        return np.concatenate([_parts(flow.A) * period, _parts(flow.G) * period, _parts(body) * period, [flow.omega0_rad_s, kick]])
 
 
 def _parts(values: ComplexArray) -> FloatArray:
@@ -179,15 +205,3 @@ def _parts(values: ComplexArray) -> FloatArray:
 
 def _scaled(flat: FloatArray, factor: FloatArray) -> FloatArray:
     return np.ascontiguousarray(factor[:, None] * flat[None, :])
-
-
-def _row_physics(device: Device, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
-    """k11, k12, k22, c11, c12, c21, c22 of each row, shape (n, 7), linear in temperature between the extremes of the stretch."""
-    r = device.resonator
-    cold, hot = float(temperature_degc.min()), float(temperature_degc.max())
-    k0, k1 = r.stiffness_matrix(cold), r.stiffness_matrix(hot)
-    d0, d1 = r.damping_matrix(cold), r.damping_matrix(hot)
-    share = (temperature_degc - cold) / (hot - cold) if hot > cold else np.zeros_like(temperature_degc)
-    k = k0 + share[:, None, None] * (k1 - k0)
-    c = d0 + share[:, None, None] * (d1 - d0) + 2.0 * r.angular_gain * rate_rad_s[:, None, None] * J
-    return np.column_stack([k[:, 0, 0], k[:, 0, 1], k[:, 1, 1], c[:, 0, 0], c[:, 0, 1], c[:, 1, 0], c[:, 1, 1]])

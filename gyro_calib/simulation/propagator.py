@@ -1,7 +1,7 @@
 """Exact propagation of the linear resonator over one converter sample with the drive held (zero-order hold).
 
-State ``z = (x, y, x'/w, y'/w)`` with ``w`` the nominal angular frequency: ``z_n+1 = Phi z_n + Gamma f_n``, ``f`` [m/s^2]. The series converges to
-rounding for ``w dt < 1``, so the map has no numerical damping: its determinant is that of the damped system to 1e-15 a step.
+State ``z = (x, y, x'/w, y'/w)`` with ``w`` the nominal angular frequency: ``z_n+1 = Phi z_n + Gamma f_n``, ``f`` [m/s^2]. The series
+converges to rounding for ``w dt < 1``, so the map has no numerical damping: its determinant is that of the damped system to 1e-15 a step.
 """
 
 from __future__ import annotations

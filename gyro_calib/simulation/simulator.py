@@ -22,7 +22,7 @@ __all__ = ["GyroSimulator"]
 
 FloatArray = NDArray[np.float64]
 #: device seconds simulated per kernel call: bounds the memory of the noise samples
-_CHUNK_S = {"carrier": 0.25, "slow_flow": 4.0}
+_CHUNK_S = {"carrier": 0.25, "slow_flow": 2.0}
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from .control import S_BODY, S_DRIVE, S_OMEGA, control_step
 
 __all__ = ["FLOW_COLUMNS", "slow_flow_rows"]
 
-#: T A (re, im of xx, xy, yx, yy), T G (likewise), T times the response to one volt of body excitation (re, im of x, y), omega0 [rad/s]
-FLOW_COLUMNS = 21
+#: T A (re, im of xx, xy, yx, yy), T G (likewise), T times the response to one volt of body excitation (re, im of x, y), omega0 [rad/s],
+#: sd of the force noise per period on each quadrature [V]
+FLOW_COLUMNS = 22
 
 
 @kernel
@@ -60,16 +61,15 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
         ``Nonlinearity.coefficients``.
     feed : ndarray, shape (8,)
         E: re, im of xx, xy, yx, yy.
-    const : ndarray, shape (4,)
-        Control period [s], sd of the force noise per period on each quadrature [V], sd of the pick-off noise per period [V],
-        1 when there are nonlinear forces.
+    const : ndarray, shape (3,)
+        Control period [s], sd of the pick-off noise per period [V], 1 when there are nonlinear forces.
     noise : ndarray, shape (8 rows controls,), float32
         Standard normals: force on x, y, then pick-off noise of x, y, each re, im.
     out : ndarray, shape (rows, 9)
         As in :func:`.carrier.carrier_rows`.
     """
     controls = row_w.shape[2]
-    period, kick, pick_noise, curved = const[0], const[1], const[2], const[3] > 0.0
+    period, pick_noise, curved = const[0], const[1], const[2] > 0.0
     sh0, sh1, sh2 = shares[0], shares[1], shares[2]
     e0, e1, e2, e3, e4, e5, e6, e7 = feed[0], feed[1], feed[2], feed[3], feed[4], feed[5], feed[6], feed[7]
     steps = np.empty((controls, 9))
@@ -88,11 +88,12 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             f[q] += rate[row] * coriolis[q]
         a0, a1, a2, a3, a4, a5, a6, a7 = f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7]
         g0, g1, g2, g3, g4, g5, g6, g7 = f[8], f[9], f[10], f[11], f[12], f[13], f[14], f[15]
+        omega0, kick = f[20], f[21]
         for step in range(controls):
             omega = loop[S_OMEGA]
             uxr, uxi, uyr, uyi = loop[S_DRIVE], loop[S_DRIVE + 1], loop[S_DRIVE + 2], loop[S_DRIVE + 3]
             push = loop[S_BODY]
-            th = (omega - f[20]) * period
+            th = (omega - omega0) * period
             th2 = th * th
             # s = phi1(-i theta), d = phi1'(-i theta)
             sr, si = 1.0 - th2 * (1.0 / 6.0 - th2 * (1.0 / 120.0)), -th * (0.5 - th2 * (1.0 / 24.0))

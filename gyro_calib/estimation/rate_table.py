@@ -1,0 +1,282 @@
+"""Regress the slow flow with a known input rate: A at rest, G, E and A1 = dA/dOmega (document 000, "with known input rate the estimator may
+determine the Bryant factor").
+
+theory.md Eq. 4 is linear in the rate, ``A + Omega(t) A1`` with ``A1 = -kappa P J P^-1``, so a table run adds two regressors to the projected equations
+of :mod:`.projection`: ``Omega p`` (p = V - E u; E comes from a first round) and, because a table's clock and its edges are never quite the
+recorder's, ``Omega' p`` with coefficients of its own, which takes up a shift in time. Any mode serves: the equations are the same.
+
+Each axis about which the table turned the case has its own A1 (the sense axis' component along it); away from the first one the constant
+rate is another (the earth's turns with the mounting), so those runs have an A of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from ..errors import CalibrationRefused
+from ..recording.applied_rate import applied_rate, table_axis
+from ..recording.recording import Recording
+from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noise
+from .projection import Projected, project, test_functions
+
+__all__ = ["RateTableFit", "fit_rate_table"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: highest line of a record whose signals move by themselves (table run, whole angle) [Hz], and most lines of one
+_TOP_HZ, _MOST_LINES = 1.5, 16
+_ROUNDS = 2
+#: real cubic parameters of both axes
+_CUBIC_TERMS = 8
+
+
+@dataclass(frozen=True)
+class RateTableFit:
+    """Slow flow with its response to rate.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+        [1/s] (the constant rate included), [1/s], dimensionless.
+    axes : ndarray, shape (k, 3)
+        Table axes in the frame of the case.
+    A1 : ndarray, shape (k, 2, 2), complex
+        Response to rate about each axis, dimensionless.
+    A1_covariance : ndarray, shape (k, 8, 8)
+        Of (re, im) of xx, xy, yx, yy; the axes' are taken as independent.
+    has_cubic : bool
+        Whether terms in ``|V|^2 V`` were needed (three or more amplitudes, F test).
+    omega0_rad_s : float
+        Frequency about which A and G are written.
+    temperature_degc : float
+        Mean of the recordings.
+    chi2_per_dof, condition_number : float
+    """
+
+    A: ComplexArray
+    G: ComplexArray
+    E: ComplexArray
+    axes: FloatArray
+    A1: ComplexArray
+    A1_covariance: FloatArray
+    has_cubic: bool
+    omega0_rad_s: float
+    temperature_degc: float
+    chi2_per_dof: float
+    condition_number: float
+
+
+def fit_rate_table(recordings: list[Recording], decay_rate: float) -> RateTableFit:
+    """Fit all recordings of one unit at one temperature and one constant rate.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+        Table runs among them (``extras["applied_rate"]``). The absolute scale of G, and with it of A1, needs something dynamic: side bands,
+        virtual precession, ring-down.
+    decay_rate : float
+        Rough 1/tau [1/s].
+
+    Raises
+    ------
+    CalibrationRefused
+        No table run, or recordings that do not excite what must be found.
+    """
+    if not any("applied_rate" in r.extras for r in recordings):
+        raise CalibrationRefused(
+            "Recordings must include a rate-table run (attribute applied_rate), but got none. Turn the gyro, and say how it was turned."
+        )
+    data = _Data.of(recordings, decay_rate)
+    E = np.zeros((2, 2), dtype=complex)
+    plain = data.fit(E, cubic=False)
+    if data.has_feedthrough:
+        E = np.array([f.coefficients[4:6] for f in plain])
+        plain = data.fit(E, cubic=False)
+    fits, cubic = plain, False
+    amplitudes = {round(r.command.setpoints.amplitude_v, 9) for r in recordings if r.command.mode != "loops_off"}
+    if len(amplitudes) >= 3 and all(r.command.oscillator_axis or r.command.mode == "loops_off" for r in recordings):
+        rich = data.fit(E, cubic=True)
+        chi2, dof = _quality(rich)
+        ratio = (_quality(plain)[0] - chi2) / _CUBIC_TERMS / (chi2 / max(dof, 1))
+        cubic = ratio > float(f_distribution.isf(1e-3, _CUBIC_TERMS, max(dof, 1)))
+        fits = rich if cubic else plain
+    return data.result(fits, E, cubic)
+
+
+def _quality(fits: list[LinearFit]) -> tuple[float, int]:
+    return sum(f.chi2 for f in fits), sum(f.dof for f in fits)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Projected recordings at their own lines and at quiet ones."""
+
+    recordings: list[Recording]
+    axes: FloatArray
+    omega0: float
+    has_feedthrough: bool
+    bodies: list[float]
+    signal: list[Projected]
+    quiet: list[Projected]
+
+    @classmethod
+    def of(cls, recordings: list[Recording], decay_rate: float) -> _Data:
+        omega0 = 2.0 * math.pi * float(np.mean([r.column("ref_freq").mean() for r in recordings if r.command.mode != "loops_off"]))
+        axes: list[FloatArray] = []
+        for r in recordings:
+            if "applied_rate" in r.extras and not any(np.allclose(table_axis(r), axis, atol=1e-9) for axis in axes):
+                axes.append(table_axis(r))
+        return cls(
+            recordings=recordings,
+            axes=np.array(axes),
+            omega0=omega0,
+            has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
+            bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
+            signal=[project(r, _lines(r), omega0, decay_rate) for r in recordings],
+            quiet=[project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings],
+        )
+
+    def fit(self, E: ComplexArray, *, cubic: bool) -> list[LinearFit]:
+        """Both axes; ``E`` corrects what the rate acts on."""
+        columns = [self._columns(p, r, _lines(r), E, cubic=cubic) for p, r in zip(self.signal, self.recordings, strict=True)]
+        noise = [self._columns(p, r, _quiet_lines(r), E, cubic=cubic) for p, r in zip(self.quiet, self.recordings, strict=True)]
+        return [_fit(self.recordings, self.signal, self.quiet, columns, noise, axis) for axis in range(2)]
+
+    def _columns(self, p: Projected, recording: Recording, lines: list[float], E: ComplexArray, *, cubic: bool) -> ComplexArray:
+        """V, u, L[u] when E is sought, body volts, cubic terms, Omega' p, A of further axes, Omega p of each axis."""
+        row_s = 1.0 / recording.sample_rate_hz
+        parts = [p.pick, p.drive, *([p.drive_rate] if self.has_feedthrough else [])]
+        parts += [(p.body * (recording.command.excitation.frequency_hz == f))[:, None] for f in self.bodies]
+        parts += [p.cubic] if cubic else []
+        phi = test_functions(recording.t, row_s, lines).value
+        rate, slope = applied_rate(recording)
+        moved = recording.pick - recording.drive @ E.T
+        parts.append(row_s * (phi @ (slope[:, None] * moved)))
+        turned = "applied_rate" in recording.extras
+        own = [turned and bool(np.allclose(table_axis(recording), axis, atol=1e-9)) for axis in self.axes]
+        parts += [p.pick * here for here in own[1:]]
+        parts += [row_s * (phi @ (rate[:, None] * moved)) * here for here in own]
+        return np.hstack(parts)
+
+    def result(self, fits: list[LinearFit], E: ComplexArray, cubic: bool) -> RateTableFit:
+        values = np.array([f.coefficients for f in fits])
+        A, reduced, count = values[:, 0:2], values[:, 2:4], len(self.axes)
+        chi2, dof = _quality(fits)
+        scale = max(1.0, chi2 / max(dof, 1))
+        first = values.shape[1] - 2 * count
+        return RateTableFit(
+            A=A,
+            G=reduced + A @ E,
+            E=E,
+            axes=self.axes,
+            A1=np.array([values[:, first + 2 * k : first + 2 * k + 2] for k in range(count)]),
+            A1_covariance=scale * np.array([_block(fits, first + 2 * k) for k in range(count)]),
+            has_cubic=cubic,
+            omega0_rad_s=self.omega0,
+            temperature_degc=float(np.mean([r.temperature_degc.mean() for r in self.recordings])),
+            chi2_per_dof=chi2 / max(dof, 1),
+            condition_number=max(f.condition_number for f in fits),
+        )
+
+
+def _block(fits: list[LinearFit], first: int) -> FloatArray:
+    """Covariance of two complex coefficients of each axis, shape (8, 8)."""
+    out = np.zeros((8, 8))
+    for axis, fit in enumerate(fits):
+        out[4 * axis : 4 * axis + 4, 4 * axis : 4 * axis + 4] = fit.covariance[2 * first : 2 * first + 4, 2 * first : 2 * first + 4]
+    return out
+
+
+def _fit(
+    recordings: list[Recording],
+    signal: list[Projected],
+    quiet: list[Projected],
+    columns: list[ComplexArray],
+    noise_columns: list[ComplexArray],
+    axis: int,
+) -> LinearFit:
+    """One axis; the noise is measured on the quiet lines of the recordings of each role."""
+    roles = [_role(r, axis) for r in recordings]
+    models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in roles for part in ("re", "im")}
+    for turn in range(_ROUNDS + 1):
+        equations = [
+            Equation(
+                lhs=p.lhs[:, axis],
+                regressors=c,
+                gram=p.gram,
+                sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
+                sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
+                detuning=_shift(p, role, axis),
+            )
+            for p, c, role in zip(signal, columns, roles, strict=True)
+        ]
+        fit = fit_axis(equations)
+        if turn < _ROUNDS:
+            models = _measured(recordings, quiet, noise_columns, roles, axis, fit.coefficients)
+    return fit
+
+
+def _shift(p: Projected, role: str, axis: int) -> ComplexArray | None:
+    """The resonance of each recording is its own, and moves steadily: ``i lambda p`` where p is not held at zero."""
+    if role not in ("oscillator", "wave"):
+        return None
+    return np.column_stack([p.pick[:, axis], p.drift[:, axis]])
+
+
+def _measured(
+    recordings: list[Recording],
+    quiet: list[Projected],
+    columns: list[ComplexArray],
+    roles: list[str],
+    axis: int,
+    coefficients: ComplexArray,
+) -> dict[tuple[str, str], NoiseModel]:
+    models = {}
+    for role in set(roles):
+        own = [i for i, r in enumerate(roles) if r == role]
+        left = np.concatenate([quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in own])
+        lines = np.concatenate([quiet[i].frequency_hz for i in own])
+        lowest = 0.3 / max(recordings[i].duration_s for i in own)
+        models[role, "re"] = fit_noise(lines, left.real**2, lowest)
+        models[role, "im"] = fit_noise(lines, left.imag**2, lowest)
+    return models
+
+
+def _role(recording: Recording, axis: int) -> str:
+    oscillator = recording.command.oscillator_axis
+    if oscillator is None:
+        return "open" if recording.command.mode == "loops_off" else "wave"
+    return "oscillator" if oscillator == AXES[axis] else "closed"
+
+
+def _moves(recording: Recording) -> bool:
+    """Whether the signals hold more than what a modulation put there."""
+    return "applied_rate" in recording.extras or recording.command.mode in ("whole_angle", "ring_down", "ring_up", "stiffness")
+
+
+def _lines(recording: Recording) -> list[float]:
+    if _moves(recording):
+        step = 1.0 / recording.duration_s
+        count = min(_MOST_LINES, int(_TOP_HZ / step))
+        return [step * k for k in range(count + 1)]
+    excitation = recording.command.excitation
+    return [0.0, excitation.frequency_hz] if excitation.kind.endswith("modulation") else [0.0]
+
+
+def _quiet_lines(recording: Recording) -> list[float]:
+    """Lines of which only noise is expected once the model is taken away."""
+    step = 1.0 / recording.duration_s
+    top = min(max(4.0, 8.0 * step), 0.2 * recording.sample_rate_hz)
+    if _moves(recording):
+        return [float(f) for f in np.linspace(_TOP_HZ + 2.0 * step, _TOP_HZ + top, 20)]
+    candidates = np.geomspace(1.8 * step, top, 24)
+    excitation = recording.command.excitation
+    if excitation.kind.endswith("modulation"):
+        busy = np.arange(1, 8) * excitation.frequency_hz
+        candidates = np.array([f for f in candidates if np.min(np.abs(busy - f)) > 1.7 * step])
+    return [float(f) for f in candidates]
