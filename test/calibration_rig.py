@@ -71,8 +71,17 @@ class CalibrationClient:
 
     @property
     def published_record(self) -> CalibrationRecord | None:
-        """What ``~/calibration`` says is in force."""
-        return record_from_calibration(self.calibration.messages[-1]) if self.calibration.messages else None
+        """What ``~/calibration`` says is in force; waits for its first message."""
+        return record_from_calibration(self.calibration.wait()[-1])
+
+    @property
+    def calibrated(self) -> bool:
+        """What ``~/is_calibrated`` says; waits for its first message."""
+        return bool(self.is_calibrated.wait()[-1].data)
+
+    def wait_record(self, record: CalibrationRecord | None) -> None:
+        """Wait until ``record`` is published as the one in force."""
+        wait_for(lambda: self.published_record == record, 20.0, f"{record.record_id if record else None} on ~/calibration")
 
     def wait_value(self, key: str, value: str, timeout_s: float = 30.0) -> None:
         """Wait for a key value of the status."""

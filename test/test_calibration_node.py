@@ -46,8 +46,7 @@ def test_self_calibration_of_a_simulated_gyro_end_to_end(ros: RosSession, spawn_
     client = CalibrationClient(ros)
     diagnostics = ros.listen(client.node, DiagnosticArray, "/diagnostics")
     client.wait_ready()
-    assert client.is_calibrated.wait()[-1].data is False
-    assert client.calibration.wait()
+    assert not client.calibrated
     assert client.published_record is None
     run_id = client.run("self_calibrate")
     assert client.wait_end(run_id) == "done", client.text
@@ -55,18 +54,18 @@ def test_self_calibration_of_a_simulated_gyro_end_to_end(ros: RosSession, spawn_
 
     # one record, the same on disk, on every topic and in the status
     record = RecordStore(None, DEVICE).load()
-    wait_for(lambda: client.is_calibrated.messages[-1].data, 10.0, "is_calibrated")
-    assert client.published_record == record
+    wait_for(lambda: client.calibrated, 10.0, "is_calibrated")
+    client.wait_record(record)
     assert record_file().read_text() == dump_record(record)
     assert record.provenance["run_id"] == run_id
     assert record.mode == "ftr_x"
-    bias = client.bias.messages[-1].twist
+    bias = client.bias.wait()[-1].twist
     assert bias.twist.angular.z == record.bias.value
     assert bias.covariance[35] == pytest.approx(record.bias.sd**2, rel=1e-12)
-    scale = client.scale_factor.messages[-1].vector
+    scale = client.scale_factor.wait()[-1].vector
     by_axis = record.scale_factor_by_axis
     assert (scale.x, scale.y, scale.z) == (by_axis["x"].value, by_axis["y"].value, record.scale_factor.value)
-    assert list(client.compensation.messages[-1].data) == [1.0, 0.0, 0.0, 1.0]
+    assert list(client.compensation.wait()[-1].data) == [1.0, 0.0, 0.0, 1.0]
     values = client.values
     assert values["calibration"] == record.record_id
     assert values["saved"] == "True"
@@ -83,6 +82,7 @@ def test_self_calibration_of_a_simulated_gyro_end_to_end(ros: RosSession, spawn_
     # progress never ran backwards, and the array for monitors came along
     fractions = [float(next(p.value for p in m.values if p.key == "fraction")) for m in client.status.messages]
     assert len({f for f in fractions if 0.0 < f < 1.0}) > 5
+    assert fractions == sorted(fractions)
     mine = [status for array in diagnostics.messages for status in array.status if status.name == "gyro_calibration: calibration"]
     assert len(mine) >= 2
     assert mine[-1].hardware_id == DEVICE
@@ -102,8 +102,7 @@ def test_a_new_record_is_unsaved_until_it_is_saved_and_can_be_reverted(ros: RosS
     response = rig.call("revert")
     assert response.success
     assert response.message == f"reverted from {second} to {first.record_id}"
-    rig.wait_value("calibration", first.record_id)
-    assert rig.published_record == first
+    rig.wait_record(first)
 
     # a saved one goes back to the previous version, in force and on disk
     assert rig.wait_end(rig.run("self_calibrate")) == "done", rig.text
@@ -114,11 +113,12 @@ def test_a_new_record_is_unsaved_until_it_is_saved_and_can_be_reverted(ros: RosS
     rig.wait_value("saved", "True")
     assert RecordStore(None, DEVICE).load().record_id == third
     assert rig.call("revert").success
-    rig.wait_value("calibration", first.record_id)
+    rig.wait_record(first)
     assert RecordStore(None, DEVICE).load() == first
     response = rig.call("revert")
     assert not response.success
     assert "there is none" in response.message
+    assert rig.values["calibration"] == first.record_id
     assert rig.published_record == first
 
 
@@ -148,11 +148,11 @@ def test_run_sideband_alone_says_what_it_misses(ros: RosSession) -> None:
 def test_a_restarted_node_has_the_calibration_at_once(ros: RosSession) -> None:
     record = store_record()
     rig = Rig(ros, device_id=DEVICE)
-    wait_for(lambda: rig.is_calibrated.messages[-1].data, 10.0, "is_calibrated")
-    assert rig.published_record == record
+    wait_for(lambda: rig.calibrated, 10.0, "is_calibrated")
+    rig.wait_record(record)
     late = CalibrationClient(ros)
     late.wait_value("calibration", record.record_id)
-    assert late.published_record == record, "latched: who joins late hears it too"
+    late.wait_record(record)  # latched: who joins late hears it too
     assert late.bias.wait()[-1].twist.twist.angular.z == record.bias.value
 
 

@@ -215,6 +215,13 @@ def test_a_cancel_between_steps_leaves_no_trace(bench: Bench, tmp_path: Path) ->
     assert bench.instrument.simulator.command == Command()
 
 
+def test_a_cancel_at_the_last_moment_still_leaves_no_trace(bench: Bench) -> None:
+    bench.confirm = lambda: bench.runs.cancel("at the last moment") and None  # type: ignore[func-returns-value]
+    status = bench.run("run_sideband")
+    assert (status.state, status.message) == (RunState.CANCELLED, "at the last moment")
+    assert bench.adopted == []
+
+
 def test_recordings_that_cannot_be_written_do_not_end_the_run(bench: Bench, tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .console import print_table, progress_bar, say, write_json
+from .console import print_table, print_warnings, progress_bar, say, write_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +28,8 @@ _UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "deg/h": math.pi / 180.0 / 360
 
 #: a recording whose temperature moves more shows the temperature, not the noise [K]
 _STEADY_K = 1.0
+#: chi-square per degree of freedom above which the coefficients mean little
+_MISFIT = 4.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--label", metavar="NAME", help="which recording of the file")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write coefficients and curve; - for stdout")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curve (.png, .svg, .pdf)")
-    parser.add_argument("--min-tau", type=float, default=0.0, metavar="S", help="shortest averaging time that the fit uses [s]")
+    parser.add_argument("--min-tau", type=float, metavar="S", help="shortest averaging time of the fit [s] (default: found)")
     parser.add_argument("--rate-hz", type=float, metavar="HZ", help="text file: samples per second")
     parser.add_argument("--unit", choices=sorted(_UNITS), default="rad/s", help="text file: unit")
     parser.add_argument("--column", type=int, default=0, metavar="K", help="text file: column, counted from 0")
@@ -69,6 +71,9 @@ def run(arguments: argparse.Namespace) -> int:
     if not to_stdout:
         say(f"{record.device_id} {record.label}".strip())
         print_table(allan_table(analysis))
+    if analysis.chi_square_per_dof > _MISFIT:
+        misfit = f"{analysis.chi_square_per_dof:.1f} times the noise"
+        print_warnings([f"the noise model misses the curve by {misfit}: do not trust the coefficients, look at the curve (--plot)"])
     if arguments.json is not None:
         write_json(arguments.json, _document(record, analysis))
     if arguments.plot is not None:
@@ -153,6 +158,7 @@ def _document(record: RateRecord, analysis: AllanAnalysis) -> dict[str, Any]:
         "not_observable": list(analysis.not_observable),
         "minimum": {"tau_s": tau, "deviation": lowest.to_json()},
         "chi_square_per_dof": analysis.chi_square_per_dof,
+        "min_tau_s": analysis.min_tau_s,
         "curve": {
             "unit": "rad/s",
             "confidence": curve.confidence,

@@ -37,7 +37,8 @@ def print_table(table: Any) -> None:
 
     from ..report.table import to_rich
 
-    Console().print(to_rich(table))
+    # a pipe or a log has no width of its own: 80 columns would cut every figure
+    Console(width=None if sys.stdout.isatty() else 120).print(to_rich(table))
 
 
 def print_warnings(warnings: Iterable[str]) -> None:

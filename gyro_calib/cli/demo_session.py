@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import collections
+import contextlib
+import os
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -226,19 +229,16 @@ class _Log:
             return "\n".join(self._last)
 
 
-class _localhost_only:
+@contextlib.contextmanager
+def _localhost_only() -> Iterator[None]:
     """This process's own node must not be seen outside either; the environment is the only way to say so."""
-
-    def __enter__(self) -> None:
-        import os
-
-        self._before = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-
-    def __exit__(self, *_: object) -> None:
-        import os
-
-        if self._before is None:
-            os.environ.pop("ROS_AUTOMATIC_DISCOVERY_RANGE", None)
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    before = os.environ.get(name)
+    os.environ[name] = "LOCALHOST"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
         else:
-            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = self._before
+            os.environ[name] = before

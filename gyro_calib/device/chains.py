@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import require_finite, require_positive
+from .checks import require_finite, require_non_negative, require_positive
 
 __all__ = ["DriveChain", "Feedthrough", "PickoffChain"]
 
@@ -78,6 +78,12 @@ class PickoffChain:
         Relative change of both gains per kelvin.
     cubic_per_v2 : float
         Pick-off nonlinearity: ``V (1 + cubic_per_v2 V^2)`` on each channel [1/V^2].
+    gap_amplitude_v : float
+        Volts that the linear x pick-off would give at a displacement of the whole gap, ``gain d``; 0: linear. A capacitance ~ 1/(d - z) less its
+        value at rest gives ``V = V_lin / (1 - V_lin / V_gap)``: lines at 2 and 3 times the carrier, each by the same factor q below the
+        one before, with ``a/d = 2 q/(1 + q^2)`` (document 000, Trusov-Shkel).
+    gap_mismatch : float
+        Relative excess of the y gap; with equal gaps the y pick-off has ``V_gap,y = r V_gap,x``.
     """
 
     gain_v_per_m: float
@@ -88,10 +94,20 @@ class PickoffChain:
     phase_y_rad: float = 0.0
     gain_tempco_per_k: float = 0.0
     cubic_per_v2: float = 0.0
+    gap_amplitude_v: float = 0.0
+    gap_mismatch: float = 0.0
 
     def __post_init__(self) -> None:
         require_finite(self)
         require_positive(self, "gain_v_per_m")
+        require_non_negative(self, "gap_amplitude_v")
+
+    @property
+    def per_gap_v(self) -> tuple[float, float]:
+        """One over the gap of x and of y in volts of their pick-offs [1/V]; zeros for a linear pick-off."""
+        if self.gap_amplitude_v == 0.0:
+            return 0.0, 0.0
+        return 1.0 / self.gap_amplitude_v, 1.0 / (self.gap_amplitude_v * (1.0 + self.gain_mismatch) * (1.0 + self.gap_mismatch))
 
     def matrix(self, temperature_rise_k: float = 0.0) -> ComplexArray:
         """P [V/m], shape (2, 2), complex."""

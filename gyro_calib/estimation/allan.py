@@ -16,7 +16,7 @@ from scipy import linalg, optimize, stats
 
 from ..errors import DataError
 from ..quantity import Quantity
-from .power_law import COEFFICIENT_UNITS, allan_covariance, model_variance
+from .power_law import COEFFICIENT_UNITS, AllanCovariance, model_variance
 
 __all__ = ["AllanAnalysis", "AllanCurve", "allan_variance", "analyse_allan", "averaging_factors"]
 
@@ -24,6 +24,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _MIN_SAMPLES = 16
+#: averaging times of a fit: four coefficients and one to check them
+_MIN_TAUS = 5
+#: a misfit that chance makes less often than this counts as the filter's; dropping a point in vain costs little, keeping one that is shaped
+#: moves every coefficient
+_LEAST_PROBABLE = 0.3
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,8 @@ class AllanAnalysis:
         Coefficients whose square is below 1.96 of its standard deviation.
     chi_square_per_dof : float
         Misfit of the model, 1 when it holds.
+    min_tau_s : float
+        Shortest averaging time that the fit used [s]; below it the model does not hold, nor the intervals that rest on it.
     duration_s, sample_rate_hz : float
         Of the data.
     """
@@ -83,6 +90,7 @@ class AllanAnalysis:
     upper_limits: Mapping[str, float]
     not_observable: tuple[str, ...]
     chi_square_per_dof: float
+    min_tau_s: float
     duration_s: float
     sample_rate_hz: float
 
@@ -134,7 +142,7 @@ def allan_variance(rate_rad_s: ArrayLike, sample_rate_hz: float, factors: ArrayL
 
 
 def analyse_allan(
-    rate_rad_s: ArrayLike, sample_rate_hz: float, *, min_tau_s: float = 0.0, confidence: float = 0.95, points_per_octave: int = 2
+    rate_rad_s: ArrayLike, sample_rate_hz: float, *, min_tau_s: float | None = None, confidence: float = 0.95, points_per_octave: int = 2
 ) -> AllanAnalysis:
     """Allan deviation with confidence intervals and the four noise coefficients with covariance.
 
@@ -144,8 +152,9 @@ def analyse_allan(
         Rate at rest or at constant input, uniformly sampled [rad/s]; 16 or more samples.
     sample_rate_hz : float
         Samples per second.
-    min_tau_s : float
-        Shortest averaging time that the fit uses [s]; shorter ones stay in the curve. Use it when an output filter shapes the short end.
+    min_tau_s : float, optional
+        Shortest averaging time that the fit uses [s]. Loop bandwidth and output filter shape the short end of the curve, which no power law
+        follows; by default the fit begins where the curve follows the model. Shorter times stay in the curve.
     confidence : float
         Probability of the intervals, in (0, 1).
     points_per_octave : int
@@ -169,12 +178,13 @@ def analyse_allan(
     variance = allan_variance(rate, sample_rate_hz, factors)
     if not np.all(variance > 0.0):
         raise DataError("Rate must vary from sample to sample, but got a constant one. Is the channel connected?")
-    used = tau >= min_tau_s
-    if int(used.sum()) < 5:
-        raise DataError(f"Rate must cover at least five averaging times above {min_tau_s:g} s, but got {int(used.sum())}. Record longer.")
-    squares, covariance, chi_square = _fit_squares(variance[used], factors[used], rate.size, sample_rate_hz)
-    full = allan_covariance(squares, factors, rate.size, sample_rate_hz)
-    edf = np.maximum(2.0 * (model_variance(tau) @ squares) ** 2 / np.diag(full), 1.0)
+    noise = AllanCovariance(factors, rate.size, sample_rate_hz)
+    first = _first_used(tau, min_tau_s)
+    fit = _fit_squares(variance, tau, noise, first)
+    if min_tau_s is None:
+        fit = _fit_where_it_holds(variance, tau, noise, fit)
+    squares, covariance = fit.squares, fit.covariance
+    edf = np.maximum(2.0 * (model_variance(tau) @ squares) ** 2 / np.diag(noise(squares)), 1.0)
     tail = 0.5 * (1.0 - confidence)
     curve = AllanCurve(
         tau_s=tau,
@@ -191,28 +201,60 @@ def analyse_allan(
         coefficients={name: _root(squares[k], sd[k], unit) for k, (name, unit) in enumerate(COEFFICIENT_UNITS.items())},
         upper_limits={name: math.sqrt(squares[k] + 1.644854 * sd[k]) for k, name in enumerate(names)},
         not_observable=tuple(name for k, name in enumerate(names) if squares[k] < 1.959964 * sd[k]),
-        chi_square_per_dof=chi_square,
+        chi_square_per_dof=fit.chi_square / fit.dof,
+        min_tau_s=float(tau[fit.first]),
         duration_s=rate.size / sample_rate_hz,
         sample_rate_hz=float(sample_rate_hz),
     )
 
 
-def _fit_squares(variance: FloatArray, factors: IntArray, samples: int, sample_rate_hz: float) -> tuple[FloatArray, FloatArray, float]:
+@dataclass(frozen=True)
+class _Fit:
+    """Squares of the coefficients with covariance, misfit, and the index of the first averaging time used."""
+
+    squares: FloatArray
+    covariance: FloatArray
+    chi_square: float
+    dof: int
+    first: int
+
+
+def _first_used(tau: FloatArray, min_tau_s: float | None) -> int:
+    """Index of the first averaging time of the fit."""
+    first = int(np.searchsorted(tau, min_tau_s or 0.0))
+    if tau.size - first < _MIN_TAUS:
+        raise DataError(
+            f"Rate must cover at least {_MIN_TAUS} averaging times above {min_tau_s or 0.0:g} s, but got {tau.size - first}. Record longer."
+        )
+    return first
+
+
+def _fit_where_it_holds(variance: FloatArray, tau: FloatArray, noise: AllanCovariance, whole: _Fit) -> _Fit:
+    """Drop short averaging times until noise of the model explains the misfit; if it never does, the best there is."""
+    fits = [whole]
+    while stats.chi2.sf(fits[-1].chi_square, fits[-1].dof) < _LEAST_PROBABLE and tau.size - fits[-1].first > _MIN_TAUS:
+        fits.append(_fit_squares(variance, tau, noise, fits[-1].first + 1))
+    return min(fits, key=lambda fit: fit.chi_square / fit.dof)
+
+
+def _fit_squares(variance: FloatArray, tau: FloatArray, noise: AllanCovariance, first: int) -> _Fit:
     """Non-negative generalised least squares of the four squares; the covariance belongs to the current mix, so iterate."""
-    columns = model_variance(factors / sample_rate_hz)
+    used, variance = slice(first, None), variance[first:]
+    columns = model_variance(tau[first:])
     scale = 1.0 / columns.max(axis=0) * variance.max()
     squares = _nnls(columns * scale / variance[:, None], np.ones_like(variance)) * scale
-    for _ in range(8):
-        weights = np.linalg.cholesky(_regular(allan_covariance(squares, factors, samples, sample_rate_hz)))
+    for _ in range(12):
+        weights = np.linalg.cholesky(_regular(noise(squares, used)))
         white = linalg.solve_triangular(weights, columns * scale, lower=True)
         target = linalg.solve_triangular(weights, variance, lower=True)
         previous, squares = squares, _nnls(white, target) * scale
-        if np.allclose(squares, previous, rtol=1e-3, atol=0.0):
+        if np.allclose(squares, previous, rtol=1e-4, atol=0.0):
             break
     # Unconstrained covariance: a coefficient at its bound 0 still says how large it could have been.
     covariance = np.linalg.pinv(white.T @ white, hermitian=True) * np.outer(scale, scale)
     residual = target - white @ (squares / scale)
-    return squares, covariance, float(residual @ residual) / max(1, variance.size - int(np.count_nonzero(squares)))
+    dof = max(1, variance.size - int(np.count_nonzero(squares)))
+    return _Fit(squares, covariance, float(residual @ residual), dof, first)
 
 
 def _nnls(matrix: FloatArray, target: FloatArray) -> FloatArray:

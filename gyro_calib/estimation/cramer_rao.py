@@ -39,7 +39,13 @@ def device_noise_density(device: Device, temperature_degc: float) -> Callable[[f
 
 
 def slow_flow_bound(
-    recordings: list[Recording], omega0_rad_s: float, density: Callable[[float], float], *, has_feedthrough: bool, bodies: list[float]
+    recordings: list[Recording],
+    omega0_rad_s: float,
+    density: Callable[[float], float],
+    *,
+    has_feedthrough: bool,
+    bodies: list[float],
+    wander_rad_s: float,
 ) -> FloatArray:
     """Covariance bound of the parameter vector of :class:`.slow_flow_fit.SlowFlowEstimate` (without cubic terms), shape (n, n).
 
@@ -53,8 +59,10 @@ def slow_flow_bound(
         Noise density of a detuning.
     has_feedthrough, bodies
         As in the fit: E is an unknown; body frequencies [Hz].
+    wander_rad_s : float
+        Standard deviation of the resonance between records: how well an open drive's distance from it can be known.
     """
-    blocks = [_axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies) for axis in range(2)]
+    blocks = [_axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies, wander_rad_s) for axis in range(2)]
     size = blocks[0].shape[0]
     bound = np.zeros((2 * size, 2 * size))
     bound[:size, :size], bound[size:, size:] = blocks
@@ -68,9 +76,11 @@ def _axis_bound(
     density: Callable[[float], float],
     has_feedthrough: bool,
     bodies: list[float],
+    wander: float,
 ) -> FloatArray:
     count = 2 * (4 + 2 * int(has_feedthrough) + len(bodies))
-    shifts = [i for i, r in enumerate(recordings) if r.command.oscillator_axis == "xy"[axis]]
+    closed = "yx"[axis]
+    shifts = [i for i, r in enumerate(recordings) if r.command.oscillator_axis != closed]
     information = np.zeros((count + len(shifts), count + len(shifts)))
     for i, r in enumerate(recordings):
         detuning = r.ref_omega_rad_s - omega0
@@ -89,6 +99,8 @@ def _axis_bound(
         if i in shifts:
             own = count + shifts.index(i)
             real[: len(r), own], real[len(r) :, own] = -r.pick[:, axis].imag, r.pick[:, axis].real
+            if r.command.oscillator_axis is None:
+                information[own, own] += 1.0 / wander**2
         weight = 1.0 / (density(float(detuning.mean())) * r.sample_rate_hz)
         information += weight * real.T @ real
     scale = np.sqrt(np.diag(information))

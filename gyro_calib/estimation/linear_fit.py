@@ -27,7 +27,7 @@ _EXTRA_TERM = 6.0
 class NoiseModel:
     """Two-sided density ``c_0 + c_1/f + c_2 f^2`` of the residual [V^2/s^2/Hz], floor below ``lowest_hz``.
 
-    ``carrier`` is what recordings differ by from one another beyond that, at the carrier line itself (run-to-run wander, slower than a record).
+    ``carrier`` is what recordings differ by from one another beyond that, at the carrier line itself (wander slower than a record).
     """
 
     coefficients: tuple[float, float, float]
@@ -84,7 +84,10 @@ class Equation:
     sd_re, sd_im : ndarray, shape (m,)
         Noise of real and imaginary part of each equation.
     detuning : ndarray, shape (m, k), complex, or None
-        Regressors of this recording's own resonance shift, constant and steady (``i lambda p``), when the axis oscillates.
+        Regressors of this recording's own resonance shift (``i lambda p``): constant and steady when the axis oscillates, constant in open
+        drive.
+    detuning_sd : float
+        How large the shift may be [rad/s]; infinite where the recording itself determines it.
     """
 
     lhs: ComplexArray
@@ -93,6 +96,7 @@ class Equation:
     sd_re: FloatArray
     sd_im: FloatArray
     detuning: ComplexArray | None = None
+    detuning_sd: float = float("inf")
 
 
 @dataclass(frozen=True)
@@ -144,6 +148,11 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
         if e.detuning is not None:
             place = slice(int(first[i]), int(first[i + 1]))
             shift_re[:, place], shift_im[:, place] = -e.detuning.imag, e.detuning.real
+            if np.isfinite(e.detuning_sd):
+                prior = np.zeros((own[i], unknowns))
+                prior[:, 2 * count + place.start : 2 * count + place.stop] = np.eye(own[i]) / e.detuning_sd
+                designs.append(prior)
+                targets.append(np.zeros(own[i]))
         top = np.empty((e.lhs.size, 2 * count))
         bottom = np.empty_like(top)
         top[:, 0::2], top[:, 1::2] = re, -im

@@ -24,7 +24,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["COEFFICIENT_UNITS", "FLICKER_FLOOR", "allan_covariance", "model_variance"]
+__all__ = ["COEFFICIENT_UNITS", "FLICKER_FLOOR", "AllanCovariance", "model_variance"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -50,53 +50,56 @@ def model_variance(tau_s: ArrayLike) -> FloatArray:
     return np.stack([3.0 / tau**2, 1.0 / tau, np.full_like(tau, FLICKER_FLOOR**2), tau / 3.0], axis=1)
 
 
-def allan_covariance(squares: ArrayLike, factors: ArrayLike, samples: int, sample_rate_hz: float) -> FloatArray:
-    """Covariance between overlapping Allan variances at several averaging factors, for Gaussian noise of the given mix.
+class AllanCovariance:
+    """Covariance between overlapping Allan variances at several averaging factors, for Gaussian noise of any mix.
+
+    ``Cov(var_a, var_b) = 2 sum_d n(d) C_ab(d)^2 / (M_a M_b 4 tau_a^2 tau_b^2)`` with ``C_ab(d)`` the covariance of the second differences
+    d samples apart and ``n(d)`` the number of such pairs. C is linear in the mix: the covariance is a quadratic form, computed once.
 
     Parameters
     ----------
-    squares : array_like, shape (4,)
-        Q^2, N^2, B^2, K^2 in SI units.
     factors : array_like of int, shape (k,)
         Averaging factors.
     samples : int
         Rate samples in the record.
     sample_rate_hz : float
         Samples per second.
-
-    Returns
-    -------
-    ndarray, shape (k, k)
-        ``Cov(var_a, var_b) = 2 sum_d n(d) C_ab(d)^2 / (M_a M_b 4 tau_a^2 tau_b^2)`` with ``C_ab(d)`` the covariance of the second
-        differences d samples apart and ``n(d)`` the number of such pairs [(rad/s)^4].
     """
-    m = np.asarray(factors, dtype=np.int64)
-    mix = np.asarray(squares, dtype=np.float64)
-    dt = 1.0 / sample_rate_hz
-    result = np.empty((m.size, m.size))
-    for i, a in enumerate(m):
-        for j, b in enumerate(m[: i + 1]):
-            counts = samples + 1 - 2 * int(a), samples + 1 - 2 * int(b)
-            total = _squared_covariance_sum(mix, int(a), int(b), counts, dt)
-            result[i, j] = result[j, i] = total / (2.0 * counts[0] * counts[1] * (a * dt) ** 2 * (b * dt) ** 2)
-    return result
+
+    def __init__(self, factors: ArrayLike, samples: int, sample_rate_hz: float) -> None:
+        m = np.asarray(factors, dtype=np.int64)
+        dt = 1.0 / sample_rate_hz
+        self.form = np.empty((m.size, m.size, 4, 4))
+        for i, a in enumerate(m):
+            for j, b in enumerate(m[: i + 1]):
+                counts = samples + 1 - 2 * int(a), samples + 1 - 2 * int(b)
+                total = _squared_covariance_sum(int(a), int(b), counts, dt)
+                self.form[i, j] = self.form[j, i] = total / (2.0 * counts[0] * counts[1] * (a * dt) ** 2 * (b * dt) ** 2)
+
+    def __call__(self, squares: ArrayLike, used: slice = slice(None)) -> FloatArray:
+        """Covariance for the mix Q^2, N^2, B^2, K^2 [(rad/s)^4], shape (k, k), or of the factors in ``used``."""
+        mix = np.asarray(squares, dtype=np.float64)
+        return np.asarray(mix @ (self.form[used, used] @ mix)[..., None])[..., 0]
 
 
-def _squared_covariance_sum(mix: FloatArray, a: int, b: int, counts: tuple[int, int], dt: float) -> float:
-    """``sum_d n(d) C_ab(d)^2`` over lags d (start of b's difference minus start of a's)."""
+def _squared_covariance_sum(a: int, b: int, counts: tuple[int, int], dt: float) -> FloatArray:
+    """``sum_d n(d) C_ab(d)^2`` as a quadratic form of the mix, shape (4, 4); lags d: start of b's difference minus start of a's."""
     first, last = -(counts[0] - 1), counts[1] - 1
     # Smooth noises are correlated while the differences overlap, flicker a little beyond: 4 spans hold all but 1e-4.
     reach = 4 * (a + b)
     lags, weights = _lag_grid(max(first, -reach), min(last, reach), a, b)
-    total = float(np.sum(weights * _pairs(lags, counts) * _cross_covariance(mix, lags, a, b, dt) ** 2))
+    smooth = _cross_covariance(lags, a, b, dt)
+    form = (smooth * (weights * _pairs(lags, counts))) @ smooth.T
     # White angle noise is correlated only where two of the three points coincide: exact lags.
-    spikes = _spikes(mix[0], a, b)
+    spikes = _spikes(a, b)
     exact = np.array([d for d in spikes if -counts[0] < d < counts[1]], dtype=np.int64)
     if exact.size:
-        base = _cross_covariance(mix, exact, a, b, dt)
-        height = np.array([spikes[int(d)] for d in exact])
-        total += float(np.sum(_pairs(exact, counts) * ((base + height) ** 2 - base**2)))
-    return total
+        base = _cross_covariance(exact, a, b, dt)
+        both = base.copy()
+        both[0] = [spikes[int(d)] for d in exact]
+        pairs = _pairs(exact, counts)
+        form += (both * pairs) @ both.T - (base * pairs) @ base.T
+    return form
 
 
 def _lag_grid(first: int, last: int, a: int, b: int) -> tuple[IntArray, FloatArray]:
@@ -114,24 +117,24 @@ def _lag_grid(first: int, last: int, a: int, b: int) -> tuple[IntArray, FloatArr
     return lags, weights
 
 
-def _cross_covariance(mix: FloatArray, lags: IntArray, a: int, b: int, dt: float) -> FloatArray:
-    """Covariance of the second differences of span a and b for the three smooth noises, shape of ``lags``."""
-    result = np.zeros(lags.shape)
+def _cross_covariance(lags: IntArray, a: int, b: int, dt: float) -> FloatArray:
+    """Covariance of the second differences of span a and b per squared coefficient, shape (4, lags); zero for white angle noise."""
+    result = np.zeros((4, lags.size))
     for p, weight_p in _SECOND_DIFFERENCE:
         for q, weight_q in _SECOND_DIFFERENCE:
             t = np.abs(lags + q * b - p * a) * dt
             log = np.log(np.where(t > 0.0, t, 1.0))
-            result += weight_p * weight_q * (-0.5 * mix[1] * t + mix[2] / (2.0 * math.pi) * t**2 * log + mix[3] / 12.0 * t**3)
+            result[1:] += weight_p * weight_q * np.stack([-0.5 * t, t**2 * log / (2.0 * math.pi), t**3 / 12.0])
     return result
 
 
-def _spikes(square: float, a: int, b: int) -> dict[int, float]:
-    """Lags and covariances of white angle noise."""
+def _spikes(a: int, b: int) -> dict[int, float]:
+    """Lags and covariances of white angle noise of unit variance."""
     result: dict[int, float] = {}
     for p, weight_p in _SECOND_DIFFERENCE:
         for q, weight_q in _SECOND_DIFFERENCE:
             lag = p * a - q * b
-            result[lag] = result.get(lag, 0.0) + weight_p * weight_q * square
+            result[lag] = result.get(lag, 0.0) + weight_p * weight_q
     return result
 
 

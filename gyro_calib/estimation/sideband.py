@@ -14,6 +14,7 @@ from ..device.operating_point import OperatingPoint, ftr_operating_point
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Campaign, Recording
+from .linear_fit import NoiseModel
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
 from .slow_flow_fit import TEMPERATURE_WINDOW_K, SlowFlowEstimate, fit_slow_flow, usable_recordings
@@ -86,14 +87,26 @@ class _Derived:
 
 
 class SidebandProblem:
-    """The estimate of one set of recordings and its propagation to derived quantities."""
+    """The estimate of one set of recordings and its propagation to derived quantities.
 
-    def __init__(self, recordings: list[Recording], factory: Mapping[str, Any], kappa: float, priors: Priors) -> None:
+    ``fit`` is another estimator's slow flow of the same recordings, in place of :func:`.slow_flow_fit.fit_slow_flow`.
+    """
+
+    def __init__(
+        self,
+        recordings: list[Recording],
+        factory: Mapping[str, Any],
+        kappa: float,
+        priors: Priors,
+        *,
+        cubic: bool | None = None,
+        noise: Mapping[tuple[str, str, str], NoiseModel] | None = None,
+    ) -> None:
         self.kappa = kappa
         self.priors = priors
         self.factory = factory
         decay = math.pi * float(factory.get("nominal_f0_hz", 0.0)) / float(factory.get("nominal_q", math.inf))
-        self.fit: SlowFlowEstimate = fit_slow_flow(recordings, decay)
+        self.fit: SlowFlowEstimate = fit_slow_flow(recordings, decay, cubic=cubic, noise=noise)
         self.deviations = Deviations.of(self.fit, priors)
         ratio = factory.get("drive_gain_ratio_x_over_y")
         self.drive_ratio = float(ratio) if isinstance(ratio, int | float) and math.isfinite(ratio) else None

@@ -7,6 +7,7 @@ resonance (feedthrough) and body excitation (pick-off phase) enter one weighted 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,8 @@ TEMPERATURE_WINDOW_K = 0.5
 _ROUNDS = 2
 #: fewer carrier lines of one role say nothing of the scatter between records
 _FEWEST_RUNS = 4
+#: resonance wander when no repeated record tells [rad/s]: a millikelvin of silicon at 15 kHz
+_WANDER_RAD_S = 2.5e-3
 #: below this span the reference frequency is not regressed on temperature [K]
 _TEMPERATURE_SPAN_K = 0.1
 #: real cubic parameters of both axes
@@ -161,7 +164,13 @@ def usable_recordings(campaign: Campaign, window_k: float = TEMPERATURE_WINDOW_K
     return chosen, skipped
 
 
-def fit_slow_flow(recordings: list[Recording], decay_rate: float, *, cubic: bool | None = None) -> SlowFlowEstimate:
+def fit_slow_flow(
+    recordings: list[Recording],
+    decay_rate: float,
+    *,
+    cubic: bool | None = None,
+    noise: Mapping[tuple[str, str, str], NoiseModel] | None = None,
+) -> SlowFlowEstimate:
     """Fit A, G, E, the body response and, when the data ask for them, the cubic terms.
 
     Parameters
@@ -173,6 +182,8 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float, *, cubic: bool
     cubic : bool, optional
         Fit the cubic terms of document 000, Eqs. 20-27. Default: when three or more amplitudes were recorded and the terms take away more
         chi-square than chance does once in a thousand campaigns (F test).
+    noise : mapping, optional
+        Noise by (axis, role, part), as another fit of the same experiments measured it; default: measured on these recordings.
 
     Raises
     ------
@@ -187,26 +198,27 @@ def fit_slow_flow(recordings: list[Recording], decay_rate: float, *, cubic: bool
             )
     data = _Data.of(recordings, decay_rate)
     if cubic is None:
-        plain = _fit(data, cubic=False)
+        plain = _fit(data, cubic=False, noise=noise)
         amplitudes = {round(r.command.setpoints.amplitude_v, 9) for r in recordings if r.command.oscillator_axis}
         if len(amplitudes) < 3:
             return plain
         # both fits are weighed with the noise of the richer one: the poorer one's misfit leaks into its own noise estimate
-        rich = _fit(data, cubic=True)
+        rich = _fit(data, cubic=True, noise=noise)
         poor = _fit(data, cubic=False, noise=rich.noise)
         gain = poor.chi2 - rich.chi2
         ratio = (gain / _CUBIC_TERMS) / (rich.chi2 / max(rich.dof, 1))
         asked = ratio > fdtri(_CUBIC_TERMS, max(rich.dof, 1), 1.0 - 1e-3)
         return replace(rich if asked else plain, cubic_gain=gain)
-    return _fit(data, cubic=cubic)
+    return _fit(data, cubic=cubic, noise=noise)
 
 
 @dataclass(frozen=True)
 class _Data:
-    """Projected recordings at the lines of interest and at quiet lines."""
+    """Projected recordings at the lines of interest and at quiet lines; ``wander_rad_s``: how the resonance moves between records."""
 
     recordings: list[Recording]
     omega0: float
+    wander_rad_s: float
     has_feedthrough: bool
     bodies: list[float]
     signal: list[Projected]
@@ -215,7 +227,7 @@ class _Data:
     @classmethod
     def of(cls, recordings: list[Recording], decay_rate: float) -> _Data:
         omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in recordings if r.command.oscillator_axis]))
-        slope, middle = _frequency_slope(recordings)
+        slope, middle, wander = _resonance_motion(recordings)
 
         def shift(recording: Recording) -> FloatArray:
             return slope * (recording.temperature_degc - middle)
@@ -223,6 +235,7 @@ class _Data:
         return cls(
             recordings=recordings,
             omega0=omega0,
+            wander_rad_s=wander,
             has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
             bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
             signal=[project(r, _lines(r), omega0, decay_rate, shift(r)) for r in recordings],
@@ -243,23 +256,31 @@ class _Data:
         return columns
 
 
-def _frequency_slope(recordings: list[Recording]) -> tuple[float, float]:
-    """How the resonance moves with temperature [rad/s/K], from the closed-loop reference frequencies, and the mean temperature.
+def _resonance_motion(recordings: list[Recording]) -> tuple[float, float, float]:
+    """How the resonance moves, from the closed-loop reference frequencies.
 
-    It brings the loops-off records, whose reference does not follow the resonance, to where the resonance was. Zero when the temperature
-    hardly moved: then its wander says nothing.
+    Returns its slope with temperature [rad/s/K] (zero when the temperature hardly moved: then its wander says nothing), the mean temperature,
+    and the standard deviation of what the slope does not explain [rad/s]. They bring the loops-off records, whose reference does not follow
+    the resonance, to where the resonance was, and say how well.
     """
     loops = [r for r in recordings if r.command.oscillator_axis]
     temperature = np.array([r.temperature_degc.mean() for r in loops])
     middle = float(temperature.mean())
-    if np.ptp(temperature) < _TEMPERATURE_SPAN_K:
-        return 0.0, middle
     omega = np.array([r.ref_omega_rad_s.mean() for r in loops])
-    design = np.column_stack([[r.command.oscillator_axis == a for r in loops] for a in AXES] + [temperature - middle]).astype(float)
-    return float(np.linalg.lstsq(design, omega, rcond=None)[0][-1]), middle
+    # an amplitude of its own shifts the frequency (Duffing): one mean for every axis and amplitude
+    groups = sorted({(r.command.oscillator_axis or "", r.command.setpoints.amplitude_v) for r in loops})
+    columns = [np.array([(r.command.oscillator_axis, r.command.setpoints.amplitude_v) == g for r in loops], dtype=float) for g in groups]
+    if moved := bool(np.ptp(temperature) >= _TEMPERATURE_SPAN_K):
+        columns.append(temperature - middle)
+    design = np.column_stack(columns)
+    solution = np.linalg.lstsq(design, omega, rcond=None)[0]
+    left = omega - design @ solution
+    spare = len(loops) - design.shape[1]
+    wander = math.sqrt(float(left @ left) / spare) if spare > 0 else _WANDER_RAD_S
+    return (float(solution[-1]) if moved else 0.0), middle, max(wander, 1e-4)
 
 
-def _fit(data: _Data, *, cubic: bool, noise: dict[tuple[str, str, str], NoiseModel] | None = None) -> SlowFlowEstimate:
+def _fit(data: _Data, *, cubic: bool, noise: Mapping[tuple[str, str, str], NoiseModel] | None = None) -> SlowFlowEstimate:
     """Both axes, with the noise measured along the way or given."""
     columns, quiet_columns = data.columns(data.signal, cubic=cubic), data.columns(data.quiet, cubic=cubic)
     fits: list[LinearFit] = []
@@ -282,17 +303,26 @@ def _fit(data: _Data, *, cubic: bool, noise: dict[tuple[str, str, str], NoiseMod
 def _equations(
     data: _Data, columns: list[ComplexArray], roles: list[str], axis: int, models: dict[tuple[str, str], NoiseModel]
 ) -> list[Equation]:
-    return [
-        Equation(
-            lhs=p.lhs[:, axis],
-            regressors=c,
-            gram=p.gram,
-            sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
-            sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
-            detuning=np.column_stack([p.pick[:, axis], p.drift[:, axis]]) if role == "oscillator" else None,
+    equations = []
+    for p, c, role in zip(data.signal, columns, roles, strict=True):
+        detuning, detuning_sd = None, math.inf
+        if role == "oscillator":
+            detuning = np.column_stack([p.pick[:, axis], p.drift[:, axis]])
+        elif role != "closed":
+            # an open drive's distance from a resonance that wanders is not known better than the wander
+            detuning, detuning_sd = p.pick[:, axis : axis + 1], data.wander_rad_s
+        equations.append(
+            Equation(
+                lhs=p.lhs[:, axis],
+                regressors=c,
+                gram=p.gram,
+                sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
+                sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
+                detuning=detuning,
+                detuning_sd=detuning_sd,
+            )
         )
-        for p, c, role in zip(data.signal, columns, roles, strict=True)
-    ]
+    return equations
 
 
 def _is_open(recording: Recording) -> bool:

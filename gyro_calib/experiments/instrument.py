@@ -21,6 +21,11 @@ class Instrument(Protocol):
     factory : dict
         What left the factory with the unit (``angular_gain_kappa``, ``nominal_f0_hz``, ``nominal_q``, ``drive_gain_ratio_x_over_y``,
         ``nominal_scale_factor_v_per_rad_s`` {x, y}, ``reference_temperature_degC``, full scales).
+
+    Notes
+    -----
+    An instrument may have ``abilities``, a set of ``"applied_rate"`` and ``"raw"``; its ``record`` then takes ``applied_rate`` (how a table turns it
+    during the recording) and ``raw_s`` (seconds of converter samples to keep) by keyword. Without the attribute it has none.
     """
 
     @property

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..errors import DataError
 from ..recording.command import Command
@@ -16,6 +18,9 @@ class Step:
 
     With ``detuning_hz`` the excitation's frequency is the resonance as last measured (the reference frequency of the latest closed-loop
     recording) plus this; units differ by more than the distance at which an open drive must stay from resonance.
+
+    ``applied_rate`` is how a rate table turns the gyro meanwhile (:mod:`gyro_calib.recording.applied_rate`), ``raw_s`` for how long, at the end of
+    the step, converter samples are kept; an instrument says in its ``abilities`` whether it can.
     """
 
     label: str
@@ -23,10 +28,19 @@ class Step:
     duration_s: float
     settle_s: float = 1.0
     detuning_hz: float | None = None
+    applied_rate: Mapping[str, Any] | None = None
+    raw_s: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0 or self.settle_s < 0:
             raise DataError(f"Step duration_s must be > 0 and settle_s >= 0, but got {self.duration_s!r}, {self.settle_s!r}.")
+        if not 0.0 <= self.raw_s <= self.duration_s:
+            raise DataError(f"Step raw_s must lie within 0 and duration_s = {self.duration_s:g}, but got {self.raw_s!r}.")
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Abilities that the step asks of an instrument."""
+        return frozenset((["applied_rate"] if self.applied_rate else []) + (["raw"] if self.raw_s > 0.0 else []))
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +60,7 @@ def run_plan(
     DataError
         A recording is not usable.
     """
+    _check_abilities(instrument, plan)
     started = time.monotonic()
     watch = _Watch(plan, dict(instrument.factory))
     recordings: list[Recording] = []
@@ -72,7 +74,7 @@ def run_plan(
                 eta = (time.monotonic() - started) * (1.0 - fraction) / fraction if fraction > 0 else float("nan")
                 on_progress(Progress(fraction, eta, step.label, index, len(plan.steps)))
             instrument.configure(_resolved(step, recordings))
-            recording = instrument.record(step.duration_s, settle_s=step.settle_s, label=step.label)
+            recording = _record(instrument, step)
             watch.check(step, recording)
             recordings.append(recording)
             done_s += step.duration_s + step.settle_s
@@ -83,6 +85,27 @@ def run_plan(
     if on_progress is not None:
         on_progress(Progress(1.0, 0.0, "", len(plan.steps), len(plan.steps)))
     return Campaign(instrument.device_id, tuple(recordings), dict(instrument.factory))
+
+
+def _check_abilities(instrument: Instrument, plan: Plan) -> None:
+    """A plan that this instrument cannot carry out is refused before an hour of it."""
+    needs = frozenset().union(*(step.needs for step in plan.steps))
+    missing = sorted(needs - frozenset(getattr(instrument, "abilities", ())))
+    if missing:
+        words = {"applied_rate": "turn on a rate table", "raw": "keep converter samples"}
+        raise ExperimentAborted(
+            f"Plan {plan.name!r} must run on an instrument that can {' and '.join(words[m] for m in missing)}, but {instrument.device_id!r} "
+            "cannot. Record it with the table's or the converter's own logger and give the file."
+        )
+
+
+def _record(instrument: Instrument, step: Step) -> Recording:
+    more: dict[str, Any] = {}
+    if step.applied_rate:
+        more["applied_rate"] = step.applied_rate
+    if step.raw_s > 0.0:
+        more["raw_s"] = step.raw_s
+    return instrument.record(step.duration_s, settle_s=step.settle_s, label=step.label, **more)
 
 
 def _resolved(step: Step, recordings: list[Recording]) -> Command:
@@ -115,7 +138,7 @@ class _Watch:
 
     def check(self, step: Step, recording: Recording) -> None:
         self._check_temperature(step, recording)
-        if "nominal_scale_factor_v_per_rad_s" in self._factory:
+        if "nominal_scale_factor_v_per_rad_s" in self._factory and not step.applied_rate:
             self._check_base(step, recording)
 
     def _check_temperature(self, step: Step, recording: Recording) -> None:

@@ -112,7 +112,7 @@ class CalibrationRun:
         self._confirm, self._adopt, self._artifacts = confirm, adopt, artifacts
         self._run: RunHandle | None = None
         self._progress: Progress | None = None
-        self._started_s = 0.0
+        self._started_s = self._fraction = 0.0
 
     def __call__(self, run: RunHandle) -> Outcome:
         """Carry the run out; see :class:`CalibrationRun` for what it changes and when."""
@@ -133,7 +133,7 @@ class CalibrationRun:
     def heartbeat(self, recorded_fraction: float) -> None:
         """Report the progress inside a step; ``recorded_fraction`` is what the instrument has of the present recording, 0 to 1."""
         run, now = self._run, self._progress
-        if run is None or now is None or now.step_index >= now.steps:
+        if run is None or now is None or not self._instrument.recording:
             return
         step = self._plan.steps[now.step_index]
         fraction = min(now.fraction + recorded_fraction * step.duration_s / self._plan.duration_s, 1.0)
@@ -141,6 +141,8 @@ class CalibrationRun:
         self._tell(run, fraction, elapsed_s * (1.0 - fraction) / fraction if fraction > 0 else math.nan, now)
 
     def _tell(self, run: RunHandle, fraction: float, eta_s: float, progress: Progress) -> None:
+        # two threads tell: a heartbeat that comes late must not turn the progress back
+        self._fraction = fraction = max(fraction, self._fraction)
         step = f"step {progress.step_index + 1} of {progress.steps}: {progress.step_label}"
         # the last call comes when all is recorded
         run.progress(fraction, eta_s, step if progress.step_label else "recordings complete")
@@ -189,6 +191,7 @@ class _Watched:
         self._instrument = instrument
         self._touched = False
         self._taken: Command | None = None
+        self.recording = False
 
     def rests_in(self, command: Command) -> bool:
         """Whether the gyro is as it was found, or ``command`` is the last that it took."""
@@ -208,7 +211,11 @@ class _Watched:
         self._taken = command
 
     def record(self, duration_s: float, *, settle_s: float = 0.0, label: str = "") -> Recording:
-        return self._instrument.record(duration_s, settle_s=settle_s, label=label)
+        self.recording = True
+        try:
+            return self._instrument.record(duration_s, settle_s=settle_s, label=label)
+        finally:
+            self.recording = False
 
 
 def record_results(record: CalibrationRecord) -> dict[str, Quantity]:

@@ -78,6 +78,7 @@ def declare_command(node: Any, limits: CommandLimits) -> None:
         "setpoint.amplitude_gain_v_per_v": describe(
             "Drive per pick-off of ring-down and ring-up, in phase with velocity [V/V]", lo=-limits.drive_v, hi=limits.drive_v
         ),
+        "setpoint.rebalance": describe("Rebalance of the closed axis: 1 on, 0 off (open secondary) [1]", lo=0.0, hi=1.0, step=1.0),
         "compensation": describe(f"Drive compensation, 2x2 row-major, applied to (u_x, u_y); elements within +/-{_COMPENSATION:g} [V/V]"),
     }
     for name, default in Command().to_parameters().items():

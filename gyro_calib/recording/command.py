@@ -76,12 +76,15 @@ class Setpoints:
         CR: drive added per pick-off volt, in phase with displacement [V/V].
     amplitude_gain_v_per_v : float
         CA of ring-down/up: drive in phase with velocity per pick-off volt [V/V], negative drives down.
+    rebalance : float
+        1: the closed axis of a force-rebalance mode is held by its drive; 0: its drive is off (open secondary, document 000).
     """
 
     amplitude_v: float = 1.0
     virtual_precession_v: float = 0.0
     stiffness_v_per_v: float = 0.0
     amplitude_gain_v_per_v: float = 0.0
+    rebalance: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -89,6 +92,8 @@ class Setpoints:
                 raise DataError(f"Set point {name} must be finite, but got {value!r}.")
         if self.amplitude_v <= 0.0:
             raise DataError(f"Set point amplitude_v must be > 0, but got {self.amplitude_v!r}.")
+        if self.rebalance not in (0.0, 1.0):
+            raise DataError(f"Set point rebalance must be 1 (on) or 0 (off), but got {self.rebalance!r}.")
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,8 @@ def demodulate(
     bandwidth_hz : float
         Of the phase lock on a voltage.
     factory : mapping, optional
-        ``nominal_f0_hz`` (where to look for the carrier), ``reference_temperature_degC`` (when nothing states the temperature).
+        ``nominal_f0_hz`` (where to look for the carrier), ``reference_temperature_degC`` (when nothing states the temperature),
+        ``dac_zero_order_hold_s`` (when the recording does not state it).
 
     Returns
     -------
@@ -75,7 +76,10 @@ def demodulate(
         A channel is missing, not finite or off its time grid; sampling too slow; no carrier; too short; a wrong ``reference``.
     """
     raw = _Raw.of(recording)
-    nominal = _number((factory or {}).get("nominal_f0_hz"))
+    factory = factory or {}
+    if "dac_zero_order_hold_s" not in recording.extras and "dac_zero_order_hold_s" in factory:
+        recording = replace(recording, extras={**recording.extras, "dac_zero_order_hold_s": factory["dac_zero_order_hold_s"]})
+    nominal = _number(factory.get("nominal_f0_hz"))
     phase, margin, source = _reference(raw, recording, reference, nominal, bandwidth_hz)
     rate = row_rate_hz or (recording.sample_rate_hz if recording.sample_rate_hz < 0.5 * raw.rate_hz else ROW_RATE_HZ)
     if not 0.0 < rate <= 0.5 * raw.rate_hz or order < 1:
@@ -96,7 +100,7 @@ def demodulate(
     turned = envelopes * 1j ** (-quarters)
     data[:, 2:10:2], data[:, 3:10:2] = turned.real, turned.imag
     data[:, 10] = decimate(np.gradient(phase), grid).real * raw.rate_hz / (2.0 * math.pi)
-    data[:, 11] = _temperature(raw, recording, grid, data[:, 0], factory or {})
+    data[:, 11] = _temperature(raw, recording, grid, data[:, 0], factory)
     how = {
         "reference": source,
         "adc_rate_hz": raw.rate_hz,

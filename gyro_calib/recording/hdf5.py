@@ -1,7 +1,8 @@
 """Campaigns on disk as one HDF5 file: written plainly, read liberally.
 
 Layout: root attributes ``format``, ``format_version``, ``device_id``, ``factory`` (JSON); one group per recording in order, its metadata as
-attributes (nested ones as JSON), one dataset per column, optionally a group ``raw`` of carrier-rate samples.
+attributes (nested ones as JSON), one dataset per column, optionally a group ``raw`` of carrier-rate samples. A recording of raw samples alone, in
+the group ``raw`` or beside the attributes, is demodulated as it is read (:mod:`.demodulate`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,9 @@ from numpy.typing import NDArray
 from ..errors import DataError
 from .attributes import command_from_attributes, decode_attribute, plain_value, to_attributes
 from .columns import COLUMN_UNITS, COLUMNS
+from .demodulate import demodulate
 from .integrity import validate
-from .names import match_columns, match_raw
+from .names import match_columns, match_envelope, match_raw
 from .recording import Campaign, Recording
 
 __all__ = ["FORMAT", "FORMAT_VERSION", "read_campaign_h5", "write_campaign_h5"]
@@ -116,7 +119,7 @@ def read_campaign_h5(
         recordings = []
         for index, group in enumerate(groups):
             with _reading(source):
-                recording = _read_recording(group, device_id, index)
+                recording = _read_recording(group, device_id, index, factory)
             if check:
                 _validate(recording, factory, source)
             recordings.append(recording)
@@ -163,20 +166,26 @@ def _identity(root: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
 
 def _recording_groups(file: h5py.File) -> list[h5py.Group]:
     """Groups with datasets, in natural order of their names; the root itself when it holds the columns."""
-    if any(isinstance(item, h5py.Dataset) for item in file.values()):
+    if _is_recording(file):
         return [file]
     groups: list[h5py.Group] = [item for item in file.values() if isinstance(item, h5py.Group)]
-    if groups and not any(isinstance(item, h5py.Dataset) for group in groups for item in group.values()):
+    if groups and not any(map(_is_recording, groups)):
         groups = [item for group in groups for item in group.values() if isinstance(item, h5py.Group)]
-    groups = [group for group in groups if any(isinstance(item, h5py.Dataset) for item in group.values())]
+    groups = [group for group in groups if _is_recording(group)]
     if not groups:
         raise DataError("A recording file must hold one group of columns per recording, but got none. Check what the logger wrote.")
     return sorted(groups, key=lambda group: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", group.name)])
 
 
-def _read_recording(group: h5py.Group, device_id: str, index: int) -> Recording:
+def _is_recording(group: h5py.Group) -> bool:
+    return any(isinstance(item, h5py.Dataset) or (key == "raw" and isinstance(item, h5py.Group)) for key, item in group.items())
+
+
+def _read_recording(group: h5py.Group, device_id: str, index: int, factory: Mapping[str, Any]) -> Recording:
     name = group.name.strip("/") or "root"
     attributes = _attributes(group)
+    if _is_raw_only(_dataset_names(group)):
+        return _from_raw(group, device_id, index, attributes, factory)
     columns = {column: _dataset(group, key) for column, key in match_columns(_dataset_names(group), name).items()}
     lengths = {column: values.size for column, values in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -189,6 +198,29 @@ def _read_recording(group: h5py.Group, device_id: str, index: int) -> Recording:
     data[:, 0] = t
     command = command_from_attributes(attributes, _amplitude(data))
     return Recording(device_id, data, command, rate, label, attributes, _read_raw(group, name))
+
+
+def _is_raw_only(names: list[str]) -> bool:
+    """No envelopes, but perhaps the carrier-rate channels themselves."""
+    return not any(match_envelope(name) for name in names)
+
+
+def _from_raw(group: h5py.Group, device_id: str, index: int, attributes: Mapping[str, Any], factory: Mapping[str, Any]) -> Recording:
+    """Demodulate a recording that holds nothing but carrier-rate samples."""
+    name = group.name.strip("/") or "root"
+    raw = _read_raw(group, name) or _read_raw_channels(group, name)
+    if raw is None or "t" not in raw:
+        match_columns(_dataset_names(group), name)  # says what is missing
+        raise DataError(f"Raw block of {name} must hold t [s], but does not. Write the time of every sample.")
+    step = float(np.median(np.diff(raw["t"]))) if raw["t"].size > 1 else 0.0
+    if not step > 0.0:
+        raise DataError(f"Raw channel t of {name} must increase, but got steps of {step:.6g} s. Write t as float64 seconds.")
+    stated = next((attributes[key] for key in _RATE_NAMES if isinstance(attributes.get(key), int | float)), 1.0 / step)
+    command, label = command_from_attributes(attributes), str(attributes.get("label") or name)
+    recording = demodulate(Recording(device_id, np.empty((0, len(COLUMNS))), command, float(stated), label, attributes, raw), factory=factory)
+    data = recording.data.copy()
+    data[:, COLUMNS.index("segment")] = index
+    return replace(recording, data=data, command=command_from_attributes(attributes, _amplitude(data)))
 
 
 def _stand_in(column: str, attributes: Mapping[str, Any], index: int, name: str) -> float:
@@ -263,8 +295,10 @@ def _amplitude(data: FloatArray) -> float:
 
 def _read_raw(group: h5py.Group, name: str) -> dict[str, FloatArray] | None:
     raw = group.get("raw")
-    if not isinstance(raw, h5py.Group):
-        return None
+    return _read_raw_channels(raw, name) if isinstance(raw, h5py.Group) else None
+
+
+def _read_raw_channels(raw: h5py.Group, name: str) -> dict[str, FloatArray] | None:
     channels = {ours: _dataset(raw, key).astype(np.float64) for ours, key in match_raw(_dataset_names(raw)).items()}
     lengths = {channel: values.size for channel, values in channels.items()}
     if len(set(lengths.values())) > 1:
@@ -287,7 +321,7 @@ def _write_recording(group: h5py.Group, recording: Recording, dtype: str) -> Non
             group.attrs[key] = h5py.Empty("f8")
         else:
             group.attrs[key] = plain if isinstance(plain, str | int | float) else json.dumps(plain)
-    for column in COLUMNS:
+    for column in COLUMNS if len(recording) else ():
         narrow = column in COLUMNS[2:10]
         values = recording.column(column).astype(dtype if narrow else np.float64)
         dataset = group.create_dataset(column, data=values, compression="gzip", compression_opts=1, shuffle=True)

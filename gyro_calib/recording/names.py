@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable
 
 from ..errors import DataError
-from .columns import COLUMN_UNITS, COLUMNS
+from .columns import CHANNELS, COLUMN_UNITS, COLUMNS
 
-__all__ = ["match_columns", "match_raw"]
+__all__ = ["match_columns", "match_envelope", "match_raw"]
 
 #: other words (letters and digits only, lower case) for the columns whose meaning they leave no doubt of
 _OTHER_WORDS = {
@@ -45,6 +45,8 @@ _RAW_WORDS = {
     "phase": "phase_ref",
     "phaseref": "phase_ref",
     "phasereference": "phase_ref",
+    "temperature": "temperature",
+    "temperaturedegc": "temperature",
 }
 #: columns that a file may lack
 _OPTIONAL = ("segment", "temperature")
@@ -88,8 +90,13 @@ def match_columns(found: Iterable[str], where: str) -> dict[str, str]:
     return matched
 
 
+def match_envelope(name: str) -> bool:
+    """Whether a name in the file means one of the eight envelope columns."""
+    return _column_for(name) in CHANNELS
+
+
 def match_raw(found: Iterable[str]) -> dict[str, str]:
-    """Carrier-rate channel of ours (``t``, ``x_pick``, ``y_pick``, ``x_drive``, ``y_drive``, ``phase_ref``) -> name in the file."""
+    """Carrier-rate channel of ours (``t``, ``x_pick``, ``y_pick``, ``x_drive``, ``y_drive``, ``phase_ref``, ``temperature``) -> name in the file."""
     matched: dict[str, str] = {}
     for name in found:
         channel = _RAW_WORDS.get(_letters(name))

@@ -1,0 +1,1 @@
+"""What people see of a result: tables, plots, one self-contained HTML page. Numbers come from elsewhere."""

@@ -42,20 +42,24 @@ def allan_table(analysis: AllanAnalysis) -> Table:
     tau, lowest = analysis.curve.minimum()
     rows.append((f"lowest deviation, at {tau:.3g} s", *quantity_cells(lowest.scaled(1.0 / DEG_H, "deg/h"))))
     misfit = f"misfit of the noise model {analysis.chi_square_per_dof:.2g} (1 = fits)"
-    caption = f"{number(analysis.duration_s)} s at {analysis.sample_rate_hz:g} Hz; {misfit}."
+    caption = f"{number(analysis.duration_s)} s at {analysis.sample_rate_hz:g} Hz, fitted from {analysis.min_tau_s:.3g} s; {misfit}."
     return Table("Noise from the Allan deviation", ("", "value", "sd", "unit"), tuple(rows), caption=caption)
 
 
 def draw_allan(analysis: AllanAnalysis, theme: Theme) -> Drawing:
     """Allan deviation with its confidence band and the fitted model."""
     curve = analysis.curve
-    fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 200)
+    fine = np.geomspace(analysis.min_tau_s, curve.tau_s[-1], 200)
+    shaped = curve.tau_s < analysis.min_tau_s
     with figure(theme) as (drawn, axes):
         band = f"{100 * curve.confidence:g} % interval"
         axes.fill_between(
             curve.tau_s, curve.lower / DEG_H, curve.upper / DEG_H, color=theme.series[0], alpha=0.2, linewidth=0.0, label=band
         )
-        axes.plot(curve.tau_s, curve.deviation / DEG_H, "o", color=theme.series[0], label="overlapping Allan deviation")
+        axes.plot(curve.tau_s[~shaped], curve.deviation[~shaped] / DEG_H, "o", color=theme.series[0], label="overlapping Allan deviation")
+        if shaped.any():
+            look = {"color": theme.series[0], "markerfacecolor": "none", "label": "shaped by the filter"}
+            axes.plot(curve.tau_s[shaped], curve.deviation[shaped] / DEG_H, "o", **look)
         axes.plot(fine, analysis.model_deviation(fine) / DEG_H, color=theme.series[1], label="fitted noise model")
         axes.set_xscale("log")
         axes.set_yscale("log")

@@ -15,9 +15,11 @@ from ..jit import kernel
 from .control import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, control_step
 from .propagator import exact_propagator
 
-__all__ = ["FLAG_CONVERTERS", "FLAG_NONLINEAR", "FLAG_PICKOFF_CUBIC", "carrier_rows", "emit_row"]
+__all__ = ["FLAG_CONVERTERS", "FLAG_NONLINEAR", "FLAG_PICKOFF_CUBIC", "FLAG_PICKOFF_GAP", "FLAG_RAW", "RAW_CHANNELS", "carrier_rows", "emit_row"]
 
-FLAG_NONLINEAR, FLAG_CONVERTERS, FLAG_PICKOFF_CUBIC = 1, 2, 4
+FLAG_NONLINEAR, FLAG_CONVERTERS, FLAG_PICKOFF_CUBIC, FLAG_PICKOFF_GAP, FLAG_RAW = 1, 2, 4, 8, 16
+#: x pick-off, y pick-off, x drive as the converter holds it, y drive [V], phase reference [rad]
+RAW_CHANNELS = 5
 
 
 @kernel
@@ -51,6 +53,20 @@ def emit_row(steps, row_w, acc, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _write_raw(volts, phase, advance, axr, axi, ayr, ayi, line, first):  # type: ignore[no-untyped-def]
+    """Write the raw samples of one control step: the pick-offs from their products with the reference, the drives as they are held."""
+    for j in range(volts.shape[0]):
+        angle = phase + advance * j
+        c, s = math.cos(angle), math.sin(angle)
+        at = first + RAW_CHANNELS * j
+        line[at] = 0.5 * (volts[j, 0] * c - volts[j, 1] * s)
+        line[at + 1] = 0.5 * (volts[j, 2] * c - volts[j, 3] * s)
+        line[at + 2] = axr * c - axi * s
+        line[at + 3] = ayr * c - ayi * s
+        line[at + 4] = angle
+
+
+@kernel
 def carrier_rows(  # type: ignore[no-untyped-def]
     z, loop, param, adc_acc, row_acc, adc_w, row_w, physics, drive, pick, feed, body, nonlinear, converters, const, flags, noise, out
 ):
@@ -76,16 +92,17 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         Force per mass and volt of the body excitation [m/s^2/V].
     nonlinear : ndarray, shape (6,)
         See :class:`gyro_calib.device.Nonlinearity`.
-    converters : ndarray, shape (5,)
-        ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2].
+    converters : ndarray, shape (7,)
+        ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2], one over the gap of x and y in pick-off volts [1/V].
     const : ndarray, shape (3,)
         Sample time [s], nominal w [rad/s], pick-off noise [V per sample].
     flags : int
         Which of the rarer branches are on.
     noise : ndarray, shape (4 samples,), float32
         Standard normals: force x, y, pick-off x, y of each sample.
-    out : ndarray, shape (rows, 9)
-        x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s].
+    out : ndarray, shape (rows, 9), or (rows, 9 + RAW_CHANNELS controls samples) with FLAG_RAW
+        x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s]; then the raw samples made
+        while the row was under way (the row itself is centred earlier, by the delay of its filter).
     """
     rows = out.shape[0]
     samples = adc_w.shape[1]
@@ -98,6 +115,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     n00, n01, n02, n03 = adc_acc[0, 0], adc_acc[0, 1], adc_acc[0, 2], adc_acc[0, 3]
     n10, n11, n12, n13 = adc_acc[1, 0], adc_acc[1, 1], adc_acc[1, 2], adc_acc[1, 3]
     nonlinear_on, converters_on, cubic_on = flags & FLAG_NONLINEAR != 0, flags & FLAG_CONVERTERS != 0, flags & FLAG_PICKOFF_CUBIC != 0
+    gap_on, raw_on = flags & FLAG_PICKOFF_GAP != 0, flags & FLAG_RAW != 0
     half_kick = -0.5 * dt / w
     n = 0
     x, y, vx, vy = z[0], z[1], z[2], z[3]
@@ -132,8 +150,13 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             c, s = math.cos(phase), math.sin(phase)
             for j in range(samples):
                 # Re[P Z e^{i phi}] with Im[Z e^{i phi}] = -velocity / w
-                voltx = ((pk[0] * x + pk[1] * vx) + (pk[2] * y + pk[3] * vy)) + (exr * c - exi * s + pick_noise * noise[n + 2])
-                volty = ((pk[4] * x + pk[5] * vx) + (pk[6] * y + pk[7] * vy)) + (eyr * c - eyi * s + pick_noise * noise[n + 3])
+                voltx = (pk[0] * x + pk[1] * vx) + (pk[2] * y + pk[3] * vy)
+                volty = (pk[4] * x + pk[5] * vx) + (pk[6] * y + pk[7] * vy)
+                if gap_on:  # C ~ 1/(d - z) less its value at rest
+                    voltx /= 1.0 - voltx * converters[5]
+                    volty /= 1.0 - volty * converters[6]
+                voltx += exr * c - exi * s + pick_noise * noise[n + 2]
+                volty += eyr * c - eyi * s + pick_noise * noise[n + 3]
                 if cubic_on:
                     voltx += converters[4] * voltx * voltx * voltx
                     volty += converters[4] * volty * volty * volty
@@ -157,6 +180,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                     vy += half_kick * ky
                 c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
                 n += 4
+            if raw_on:
+                _write_raw(volts, phase, omega * dt, axr, axi, ayr, ayi, out[row], 9 + RAW_CHANNELS * samples * step)
             phase = (phase + omega * dt * samples) % (2.0 * math.pi)
             xc, xs, yc, ys = n00, n01, n02, n03
             n00, n01, n02, n03 = n10, n11, n12, n13

@@ -60,6 +60,7 @@ def loop_parameters(device: Device, command: Command) -> FloatArray:
         param[ki] = (0.5 * crossover) ** 2 / scale
     param[c.P_FULL_SCALE] = device.electronics.dac_full_scale_v
     param[c.P_COMP : c.P_COMP + 4] = command.compensation
+    param[c.P_REBALANCE] = command.setpoints.rebalance
     param[c.P_PERIOD] = 1.0 / device.electronics.control_rate_hz
     return param
 

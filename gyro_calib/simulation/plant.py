@@ -122,11 +122,13 @@ class CarrierPlant(_Base):
                 full[1],
                 2.0 * full[1] / 2**e.dac_bits if e.dac_bits else 0.0,
                 device.pickoff.cubic_per_v2,
+                *device.pickoff.per_gap_v,
             ]
         )
         self.flags = (
             (carrier.FLAG_NONLINEAR if any(device.nonlinearity.coefficients) else 0)
             | (carrier.FLAG_PICKOFF_CUBIC if device.pickoff.cubic_per_v2 else 0)
+            | (carrier.FLAG_PICKOFF_GAP if device.pickoff.gap_amplitude_v else 0)
             | carrier.FLAG_CONVERTERS
         )
 
@@ -135,11 +137,20 @@ class CarrierPlant(_Base):
 
     def rows(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
         """See :class:`Plant`."""
+        return self._simulate(rate_rad_s, temperature_degc, self.flags, 9)
+
+    def rows_and_raw(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Next rows, shape (n, 9), and the converter samples made meanwhile, shape (n controls samples, RAW_CHANNELS)."""
+        samples = self.row_w.shape[2] * self.adc_w.shape[1]
+        both = self._simulate(rate_rad_s, temperature_degc, self.flags | carrier.FLAG_RAW, 9 + carrier.RAW_CHANNELS * samples)
+        return both[:, :9].copy(), both[:, 9:].reshape(-1, carrier.RAW_CHANNELS).copy()
+
+    def _simulate(self, rate_rad_s: FloatArray, temperature_degc: FloatArray, flags: int, width: int) -> FloatArray:
         d, count = self.device, rate_rad_s.size
         dt = 1.0 / d.electronics.adc_rate_hz
         const = np.array([dt, self.w, self.pickoff_density() * math.sqrt(0.5 / dt)])
         noise = self.normals(4 * count * self.row_w.shape[2] * self.adc_w.shape[1])
-        out = np.empty((count, 9))
+        out = np.empty((count, width))
         physics = self._physics.rows(temperature_degc)
         physics[:, 3:7] += np.multiply.outer(rate_rad_s, 2.0 * d.resonator.angular_gain * J.ravel())
         rise = temperature_degc - d.resonator.reference_temperature_degc
@@ -148,7 +159,7 @@ class CarrierPlant(_Base):
         carrier.carrier_rows(
             self.z, self.loop, self.param, self.adc_acc, self.row_acc, self.adc_w, self.row_w,
             physics, drive, pick, _parts(d.feedthrough.matrix()), d.drive.gain_m_s2_per_v,
-            np.array(d.nonlinearity.coefficients), self.converters, const, self.flags, noise, out,
+            np.array(d.nonlinearity.coefficients), self.converters, const, flags, noise, out,
         )  # fmt: skip
         return out
 

@@ -18,7 +18,7 @@ from .plant import CarrierPlant, Plant, SlowFlowPlant
 from .thermal import TemperatureWander
 from .truth import Truth, operating_point, truth_of
 
-__all__ = ["GyroSimulator"]
+__all__ = ["Capture", "GyroSimulator"]
 
 FloatArray = NDArray[np.float64]
 #: device seconds simulated per kernel call: bounds the memory of the noise samples
@@ -34,6 +34,26 @@ class _Clock:
 
     def times(self, first: int, count: int) -> FloatArray:
         return np.asarray(np.arange(first + 1, first + count + 1) * self.row_s - self.delay_s)
+
+
+#: raw channels in the order of the kernel
+RAW_NAMES = ("x_pick", "y_pick", "x_drive", "y_drive", "phase_ref")
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Rows with the converter samples made meanwhile.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, 12)
+        Recording columns.
+    raw : dict of str to ndarray, shape (m,)
+        ``t`` [s], pick-offs, drives as the converter holds them from each sample on [V], ``phase_ref`` [rad].
+    """
+
+    rows: FloatArray
+    raw: dict[str, FloatArray]
 
 
 class GyroSimulator:
@@ -112,6 +132,10 @@ class GyroSimulator:
         """
         if command.mode not in supported_modes():
             raise DeviceError(f"Mode must be one of {', '.join(supported_modes())} for this simulator, but got {command.mode!r}.")
+        gap = self._device.pickoff.gap_amplitude_v
+        largest = command.setpoints.amplitude_v * (1.0 + abs(command.excitation.index))
+        if gap and largest > 0.7 * gap:
+            raise DeviceError(f"Amplitude must stay below 0.7 of the gap, {0.7 * gap:.3g} V, but got {largest:.3g} V. Lower the set point.")
         self._command = command
         self._plant.param[:] = loop_parameters(self._device, command)
         self._segment += 1
@@ -127,18 +151,57 @@ class GyroSimulator:
         rate_rad_s : float or ndarray
             Input rate; an array is spread evenly over the duration, held between its samples [rad/s].
         """
-        count = round(duration_s / self._clock.row_s)
-        if count <= 0:
+        rates = self._spread(duration_s, rate_rad_s)
+        if rates.size == 0:
             return np.zeros((0, 12))
-        rates = np.atleast_1d(np.asarray(rate_rad_s, dtype=float))
-        rates = rates[np.minimum((np.arange(count) * rates.size) // count, rates.size - 1)]
         chunk = max(1, round(self._chunk_s / self._clock.row_s))
-        return np.concatenate([self._advance_rows(rates[i : i + chunk]) for i in range(0, count, chunk)])
+        return np.concatenate([self._advance_rows(rates[i : i + chunk]) for i in range(0, rates.size, chunk)])
+
+    def _spread(self, duration_s: float, rate_rad_s: ArrayLike) -> FloatArray:
+        """Input rate of every row of a stretch."""
+        count = max(0, round(duration_s / self._clock.row_s))
+        rates = np.atleast_1d(np.asarray(rate_rad_s, dtype=float))
+        return np.asarray(rates[np.minimum((np.arange(count) * rates.size) // max(count, 1), rates.size - 1)])
+
+    def capture_raw(self, duration_s: float, rate_rad_s: ArrayLike = 0.0) -> Capture:
+        """Simulate and return the converter samples besides the rows.
+
+        Parameters
+        ----------
+        duration_s : float
+            Device time, in whole rows [s]; a second is some ten megabytes.
+        rate_rad_s : float or ndarray
+            Input rate, as in :meth:`advance` [rad/s].
+
+        Raises
+        ------
+        DeviceError
+            The slow flow has no converter samples.
+        """
+        if not isinstance(self._plant, CarrierPlant):
+            raise DeviceError("Argument fidelity must be 'carrier' for raw samples, but got 'slow_flow'. Simulate the carrier.")
+        rates = self._spread(duration_s, rate_rad_s)
+        chunk = max(1, round(self._chunk_s / self._clock.row_s))
+        start = self.time_s
+        made = [self._advance_raw(rates[i : i + chunk]) for i in range(0, rates.size, chunk)]
+        samples = np.concatenate([raw for _, raw in made]) if made else np.zeros((0, len(RAW_NAMES)))
+        t = start + np.arange(len(samples)) / self._device.electronics.adc_rate_hz
+        raw = {"t": t} | {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(RAW_NAMES)}
+        return Capture(np.concatenate([rows for rows, _ in made]) if made else np.zeros((0, 12)), raw)
+
+    def _advance_raw(self, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        assert isinstance(self._plant, CarrierPlant)
+        temperature = self._wander.rows(self.time_s, rates.size, self._clock.row_s)
+        channels, raw = self._plant.rows_and_raw(rates, temperature)
+        return self._stamped(channels, temperature), raw
 
     def _advance_rows(self, rates: FloatArray) -> FloatArray:
-        count = rates.size
-        temperature = self._wander.rows(self.time_s, count, self._clock.row_s)
-        channels = self._plant.rows(rates, temperature)
+        temperature = self._wander.rows(self.time_s, rates.size, self._clock.row_s)
+        return self._stamped(self._plant.rows(rates, temperature), temperature)
+
+    def _stamped(self, channels: FloatArray, temperature: FloatArray) -> FloatArray:
+        """Columns of the contract from what the plant made; counts the rows."""
+        count = temperature.size
         rows = np.empty((count, 12))
         rows[:, 0] = self._clock.times(self._rows_made, count)
         rows[:, 1] = self._segment

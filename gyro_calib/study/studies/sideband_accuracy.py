@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...estimation.separation import Priors
-from ...estimation.sideband import calibrate_sideband
+from ...estimation.sideband import SidebandProblem
+from ...estimation.slow_flow_fit import usable_recordings
 from ...quantity import Quantity
 from ...units import DEG_H
 from ..gates import Gate, rms
@@ -16,15 +17,18 @@ from ._units import run_unit
 
 
 def run(seed: int) -> dict[str, float]:
-    """One noise-free unit: errors of rate, bias [deg/h] and scale factor [ppm]."""
-    trial = run_unit(seed, noisy=False, exact_drive_ratio=True)
-    result = calibrate_sideband(trial.campaign, with_convergence=False, priors=Priors(drive_ratio=1e-7))
+    """One noise-free unit, weighted as its noisy twin is: errors of rate, bias [deg/h] and scale factor [ppm]."""
+    trial, twin = (run_unit(seed, noisy=noisy, exact_drive_ratio=True) for noisy in (False, True))
+    kappa, priors = trial.device.resonator.angular_gain, Priors(drive_ratio=1e-7)
+    weights = SidebandProblem(usable_recordings(twin.campaign)[0], twin.campaign.factory, kappa, priors).fit.noise
+    problem = SidebandProblem(usable_recordings(trial.campaign)[0], trial.campaign.factory, kappa, priors, noise=weights)
+    derived, _ = problem.solve()
+    found = dict(zip(derived.names, derived.values, strict=True))
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
-    mission = result.mission["x"]
     return {
-        "rate_deg_h": (result.rate.value - trial.rate_rad_s) / DEG_H,
-        "bias_deg_h": (mission.bias_v / nominal - trial.truth.bias_rad_s) / DEG_H,
-        "scale_ppm": (mission.volts_per_rad_s / nominal / trial.truth.scale_factor - 1.0) * 1e6,
+        "rate_deg_h": (found["rate"] - trial.rate_rad_s) / DEG_H,
+        "bias_deg_h": (found["mission_bias_x"] / nominal - trial.truth.bias_rad_s) / DEG_H,
+        "scale_ppm": (found["mission_scale_x"] / nominal / trial.truth.scale_factor - 1.0) * 1e6,
     }
 
 

@@ -32,10 +32,15 @@ def run(seed: int) -> dict[str, float]:
     derived, claimed = problem.solve()
     bodies = sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})
     noise = device_noise_density(trial.device, problem.fit.temperature_degc)
-    bound = slow_flow_bound(recordings, problem.fit.omega0_rad_s, noise, has_feedthrough=problem.fit.has_feedthrough, bodies=bodies)
+    resonator = trial.device.resonator
+    wander = trial.device.environment.wander_k * abs(resonator.frequency_tempco_per_k) * resonator.omega0_rad_s
+    bound = slow_flow_bound(
+        recordings, problem.fit.omega0_rad_s, noise, has_feedthrough=problem.fit.has_feedthrough, bodies=bodies, wander_rad_s=wander
+    )
     _, best = problem.propagate(bound)
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
-    flow = trial.device.slow_flow(trial.rate_rad_s)
+    # G ~ 1/omega: the truth is written about the frequency that the fit is written about
+    flow = trial.device.slow_flow(trial.rate_rad_s, omega_rad_s=problem.fit.omega0_rad_s)
     true = {
         "rate": trial.rate_rad_s,
         "mission_bias_x": trial.truth.bias_rad_s * nominal,

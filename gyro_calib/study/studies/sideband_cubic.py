@@ -10,7 +10,7 @@ import numpy as np
 from ...device import Nonlinearity, load_device
 from ...estimation.separation import Priors
 from ...estimation.sideband import SidebandProblem
-from ...estimation.slow_flow_fit import fit_slow_flow, usable_recordings
+from ...estimation.slow_flow_fit import usable_recordings
 from ...experiments import cubic_plan
 from ...quantity import Quantity
 from ...units import DEG_H
@@ -43,11 +43,11 @@ def run(seed: int) -> dict[str, float]:
     trial = run_unit(seed, design=design, plan=plan)
     recordings = usable_recordings(trial.campaign)[0]
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
-    problem = SidebandProblem(recordings, trial.campaign.factory, trial.device.resonator.angular_gain, Priors())
-    figures: dict[str, float] = {"asked": float(problem.fit.has_cubic)}
+    kappa = trial.device.resonator.angular_gain
+    free = SidebandProblem(recordings, trial.campaign.factory, kappa, Priors())
+    figures: dict[str, float] = {"asked": float(free.fit.has_cubic)}
     for name, cubic in (("without", False), ("with", True)):
-        problem.fit = fit_slow_flow(recordings, trial.device.resonator.decay_rate(), cubic=cubic)
-        derived, covariance = problem.solve()
+        derived, covariance = SidebandProblem(recordings, trial.campaign.factory, kappa, Priors(), cubic=cubic).solve()
         for figure, truth, unit in (
             ("mission_bias_x", trial.truth.bias_rad_s * nominal, nominal * DEG_H),
             ("mission_scale_x", trial.truth.scale_factor * nominal, trial.truth.scale_factor * nominal * 1e-6),
