@@ -46,7 +46,7 @@ class Outcome:
 
     def to_json(self) -> dict[str, Any]:
         """Gates and facts."""
-        return {"passed": self.passed, "gates": [gate.to_json() for gate in self.gates], **self.facts}
+        return {"passed": self.passed, "gates": [gate.to_json() for gate in self.gates], "facts": dict(self.facts)}
 
 
 def cpu_seconds(works: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, NDArray[np.float64]]:
@@ -102,7 +102,8 @@ def gate_table(title: str, gates: Sequence[Gate]) -> Table:
 
 def main(name: str, measure: Callable[[Options], Outcome]) -> int:
     """Command line of one benchmark; exit code 1 when a gate does not hold."""
-    parser = argparse.ArgumentParser(description=sys.modules[measure.__module__].__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    description = sys.modules[measure.__module__].__doc__
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a tenth of the work")
     parser.add_argument("--seeds", type=int, metavar="N", help="units to try, where a benchmark tries units")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes, where a benchmark can use more than one")

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import logging
 import os
+import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,13 +25,14 @@ except ImportError:
     COMPILED = False
 
 _said = False
+_IMPORT = re.compile(r"^from\s+([.\w]+)\s+import\b", re.MULTILINE)
 
 
 def kernel(function: F) -> F:
     """Compile ``function`` (released GIL, cached on disk), or return it as it is without numba."""
     if not COMPILED:
         return function
-    # numba's own cache looks at the file of the function alone and would keep machine code with an old version of a kernel that it calls
+    # numba's own cache looks at the file of the function alone: it would keep machine code that holds an old version of another kernel
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_cache_folder(function))
     try:
@@ -41,9 +45,10 @@ def kernel(function: F) -> F:
 
 
 def _cache_folder(function: Callable[..., Any]) -> Path:
-    """Where the machine code of a kernel is kept: named by the sources of the kernel and of all that it calls."""
-    files = sorted(_source_files(function, set()))
-    digest = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()[:16]
+    """Where the machine code of a kernel is kept: named by the sources of its module and of all of this package that they import."""
+    found: dict[str, bytes] = {}
+    _collect_sources(function.__module__, found)
+    digest = hashlib.sha256(b"\0".join(found[name] for name in sorted(found))).hexdigest()[:16]
     tree = Path(function.__code__.co_filename).parent / "__pycache__"
     if numba.config.CACHE_DIR:
         root = Path(numba.config.CACHE_DIR)
@@ -54,15 +59,16 @@ def _cache_folder(function: Callable[..., Any]) -> Path:
     return root / f"kernels-{digest}"
 
 
-def _source_files(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> set[Path]:
-    """Files of a kernel and of the kernels that it calls, whose decorators have run by now."""
-    seen.add(function)
-    files = {Path(function.__code__.co_filename)}
-    for name in function.__code__.co_names:
-        called = getattr(function.__globals__.get(name), "py_func", None)
-        if called is not None and called not in seen:
-            files |= _source_files(called, seen)
-    return files
+def _collect_sources(name: str, found: dict[str, bytes]) -> None:
+    """Source of a module and of what it imports from this package, into ``found``: kernels call each other and freeze constants."""
+    module = sys.modules[name]
+    if name in found or getattr(module, "__file__", None) is None:
+        return
+    found[name] = Path(str(module.__file__)).read_bytes()
+    for imported in _IMPORT.findall(found[name].decode()):
+        target = importlib.util.resolve_name(imported, module.__package__ or "")
+        if target.startswith(f"{__package__}.") and target in sys.modules:
+            _collect_sources(target, found)
 
 
 def say_if_uncompiled() -> None:

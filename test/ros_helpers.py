@@ -96,6 +96,7 @@ class PlainSimulator:
 
     device_id = "plain-0001"
     sample_rate_hz = 500.0
+    modes = ("ftr_x", "ftr_y", "loops_off")
 
     def __init__(self, bias_rad_s: float = 2e-3) -> None:
         self.command = Command()
@@ -163,7 +164,8 @@ class FakeGyro(GyroSimNode):
         self._ramp_k_per_s, self._ramp_from_s = 0.0, None
         make = simulator if callable(simulator) else lambda settings: simulator or PlainSimulator()
         parameters = {"realtime_factor": 20.0, **parameters}
-        super().__init__(simulator=make, namespace=namespace, parameter_overrides=overrides(parameters))
+        modes = None if callable(simulator) else PlainSimulator.modes
+        super().__init__(simulator=make, modes=modes, namespace=namespace, parameter_overrides=overrides(parameters))
 
     # -- faults, all from the next block on -----------------------------------------------------------------------------------
 

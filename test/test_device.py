@@ -157,7 +157,7 @@ def test_wrong_descriptions_are_refused_by_name(ring: Device, tmp_path: Path, pa
 
 
 def test_missing_parts_and_unknown_names_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="one of .*ring_15k"):
+    with pytest.raises(DeviceError, match=r"one of .*ring_15k"):
         load_device("no_such_device")
     (tmp_path / "half.yaml").write_text("device_id: a\n")
     with pytest.raises(DeviceError, match="missing"):

@@ -293,7 +293,7 @@ def test_pictures_follow_the_page_and_say_what_they_show(result, campaign):
 def test_verdict_follows_the_claim(result, campaign):
     good = whole_page(result, campaign)
     assert good.passed
-    assert "within the claimed uncertainty" in good.verdict
+    assert "within three claimed standard deviations" in good.verdict
     truth = SimpleNamespace(bias_rad_s=1010.0 * DEG_H, scale_factor=0.98)
     comparison = compare(truth, 15.0 * DEG_H, result.bias["x"], Quantity(0.98, 1e-5, "1"), result.rate)
     bad = calibration_page(result, campaign, RunFacts("t", "s", "f"), comparison=comparison)

@@ -13,7 +13,7 @@ import yaml
 from ..errors import DataError, StoreError
 from .record import SCHEMA_VERSION, CalibrationRecord, canonical_json
 
-__all__ = ["FORMAT", "MAX_DOCUMENT_CHARS", "dump_record", "parse_record"]
+__all__ = ["FORMAT", "MAX_DOCUMENT_CHARS", "dump_content", "dump_record", "parse_content", "parse_record"]
 
 #: what the key ``format`` of a document says
 FORMAT = "gyro_calib calibration record"
@@ -44,12 +44,45 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
+def dump_content(header: str, form: str, version: int, content: Any) -> str:
+    """Return a document of plain types under the name of its format, with a checksum; the same content always gives the same text."""
+    head = {"format": form, "schema_version": version}
+    document = {**head, "checksum_sha256": _checksum({**head, "record": content}), "record": content}
+    return header + yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=140, default_flow_style=None)
+
+
+def parse_content(text: str, form: str, version: int, *, source: str) -> Any:
+    """Return what :func:`dump_content` wrote.
+
+    Raises
+    ------
+    StoreError
+        Not such a document, of another format or schema, torn or edited (checksum). The text says which.
+    """
+    document = _mapping(text, source)
+    if document.get("format") != form:
+        raise StoreError(f"{source} must be a {form!r}, but got format {_short(document.get('format'))}. It is another program's file.")
+    found = document.get("schema_version")
+    if found != version or isinstance(found, bool):
+        raise StoreError(
+            f"{source} must have schema_version {version}, but got {_short(found)}. Use the gyro_calib that wrote it, or calibrate again."
+        )
+    content = document.get("record")
+    try:
+        checksum = _checksum({"format": form, "schema_version": version, "record": content})
+    except (TypeError, ValueError, RecursionError) as error:
+        raise StoreError(f"{source} must hold a valid record, but got: {error}") from error
+    if document.get("checksum_sha256") != checksum:
+        raise StoreError(
+            f"{source} must have the checksum of its content, {checksum}, but got {_short(document.get('checksum_sha256'))}. "
+            "It is torn or was edited: use the previous version or calibrate again."
+        )
+    return content
+
+
 def dump_record(record: CalibrationRecord) -> str:
     """Return the document of ``record``; the same record always gives the same text."""
-    head = {"format": FORMAT, "schema_version": record.schema_version}
-    content = record.to_dict()
-    document = {**head, "checksum_sha256": _checksum({**head, "record": content}), "record": content}
-    return _HEADER + yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=140, default_flow_style=None)
+    return dump_content(_HEADER, FORMAT, record.schema_version, record.to_dict())
 
 
 def parse_record(text: str, *, device_id: str | None = None, source: str = "Calibration record") -> CalibrationRecord:
@@ -69,24 +102,9 @@ def parse_record(text: str, *, device_id: str | None = None, source: str = "Cali
     StoreError
         Not a record, of another schema, torn or edited (checksum), with impossible values, or of another device. The text says which.
     """
-    document = _mapping(text, source)
-    if document.get("format") != FORMAT:
-        raise StoreError(f"{source} must be a {FORMAT!r}, but got format {_short(document.get('format'))}. It is another program's file.")
-    version = document.get("schema_version")
-    if version != SCHEMA_VERSION or isinstance(version, bool):
-        raise StoreError(
-            f"{source} must have schema_version {SCHEMA_VERSION}, but got {_short(version)}. "
-            "Use the gyro_calib that wrote it, or calibrate again."
-        )
-    content = {"format": FORMAT, "schema_version": version, "record": document.get("record")}
+    content = parse_content(text, FORMAT, SCHEMA_VERSION, source=source)
     try:
-        checksum = _checksum(content)
-        if document.get("checksum_sha256") != checksum:
-            raise StoreError(
-                f"{source} must have the checksum of its content, {checksum}, but got {_short(document.get('checksum_sha256'))}. "
-                "It is torn or was edited: use the previous version or calibrate again."
-            )
-        record = CalibrationRecord.from_dict(content["record"])
+        record = CalibrationRecord.from_dict(content)
     except (DataError, TypeError, ValueError, RecursionError) as error:
         raise StoreError(f"{source} must hold a valid record, but got: {error}") from error
     if device_id is not None and record.device_id != device_id:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from ..errors import StoreError
 from .document import MAX_DOCUMENT_CHARS, dump_record, parse_record
+from .factory_record import FACTORY_FORMAT
 from .files import clean_temporaries, locked_directory, make_directory, replace_text, sync_directory, take_copy
 from .location import resolve_url
 from .record import CalibrationRecord
@@ -195,6 +196,11 @@ class RecordStore:
         present = _text_or_none(self.path)
         if present is None and not self.path.exists():
             return
+        if present and FACTORY_FORMAT in present[:400]:
+            raise StoreError(
+                f"Store {self.path} must hold field calibrations, but holds the factory record, which a field calibration never overwrites. "
+                "Choose another URL."
+            )
         try:
             owner = parse_record(present or "").device_id
         except StoreError:  # torn or of another schema: kept for a look, but not among the good ones

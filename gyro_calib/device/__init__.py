@@ -3,7 +3,7 @@
 from .chains import DriveChain, Feedthrough, PickoffChain
 from .device import Device, FactoryData, SlowFlow
 from .draw import Spread, draw_unit
-from .electronics import Electronics, Environment, Loops, Noise
+from .electronics import Electronics, Environment, Loops, Multiplexing, Noise
 from .io import device_from_dict, device_to_dict, dump_device, load_device
 from .resonator import BOLTZMANN_J_PER_K, J, Nonlinearity, Resonator, azimuth_matrix
 
@@ -17,6 +17,7 @@ __all__ = [
     "Feedthrough",
     "J",
     "Loops",
+    "Multiplexing",
     "Noise",
     "Nonlinearity",
     "PickoffChain",

@@ -35,6 +35,10 @@ class DriveChain:
         Extra phase of the couplings y -> x and x -> y.
     gain_tempco_per_k : float
         Relative change of both gains per kelvin.
+    at_twice_frequency : bool
+        The drives are applied at twice the vibration's frequency: the electrostatic pressure modulates the stiffness and the force is the
+        command times the motion (document 003, Eqs. 14-15). The gains above hold at the nominal amplitude; nothing feeds through at the
+        frequency of the vibration.
     """
 
     gain_m_s2_per_v: float
@@ -46,6 +50,7 @@ class DriveChain:
     coupling_phase_xy_rad: float = 0.0
     coupling_phase_yx_rad: float = 0.0
     gain_tempco_per_k: float = 0.0
+    at_twice_frequency: bool = False
 
     def __post_init__(self) -> None:
         require_finite(self)

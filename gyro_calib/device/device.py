@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 
 from ..errors import DeviceError
 from .chains import DriveChain, Feedthrough, PickoffChain
-from .electronics import Electronics, Environment, Loops, Noise
+from .electronics import SLOTS, Electronics, Environment, Loops, Multiplexing, Noise
 from .resonator import J, Nonlinearity, Resonator
 
 __all__ = ["Device", "FactoryData", "SlowFlow"]
 
 ComplexArray = NDArray[np.complex128]
+#: modes that give a rate
+MISSION_MODES = ("ftr_x", "ftr_y", "whole_angle")
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class FactoryData:
         What the firmware divides the rebalance volts by, by oscillator axis, at ``nominal_amplitude_v``.
     nominal_amplitude_v : float
         Amplitude of the mission [V].
+    mission_mode : str
+        What the gyro runs in when nobody calibrates it: ``"ftr_x"``, ``"ftr_y"`` or ``"whole_angle"``.
     """
 
     kind: str
@@ -66,6 +71,16 @@ class FactoryData:
     nominal_scale_factor_y_v_per_rad_s: float
     drive_gain_ratio_x_over_y: float = math.nan
     nominal_amplitude_v: float = 1.0
+    mission_mode: str = "ftr_x"
+
+    def __post_init__(self) -> None:
+        if self.mission_mode not in MISSION_MODES:
+            raise DeviceError(f"FactoryData mission_mode must be one of {', '.join(MISSION_MODES)}, but got {self.mission_mode!r}.")
+
+    def nominal_scale_factor(self, axis: str, amplitude_v: float) -> float:
+        """Rebalance volts per rad/s that the firmware assumes with ``axis`` as the oscillator at an amplitude [V/(rad/s)]."""
+        nominal = self.nominal_scale_factor_x_v_per_rad_s if axis == "x" else self.nominal_scale_factor_y_v_per_rad_s
+        return nominal * amplitude_v / self.nominal_amplitude_v
 
 
 @dataclass(frozen=True)
@@ -78,7 +93,7 @@ class Device:
         Identity of the unit.
     factory_data : FactoryData
         What a calibrator may know.
-    resonator, drive, pickoff, feedthrough, nonlinearity, electronics, loops, noise, environment
+    resonator, drive, pickoff, feedthrough, nonlinearity, electronics, multiplexing, loops, noise, environment
         Its parts.
     """
 
@@ -90,6 +105,7 @@ class Device:
     electronics: Electronics
     feedthrough: Feedthrough = field(default_factory=Feedthrough)
     nonlinearity: Nonlinearity = field(default_factory=Nonlinearity)
+    multiplexing: Multiplexing = field(default_factory=Multiplexing)
     loops: Loops = field(default_factory=Loops)
     noise: Noise = field(default_factory=Noise)
     environment: Environment = field(default_factory=Environment)
@@ -107,6 +123,44 @@ class Device:
         """Temperature above the resonator's reference [K]."""
         return temperature_degc - self.resonator.reference_temperature_degc
 
+    def pickoff_matrix(self, temperature_rise_k: float = 0.0) -> ComplexArray:
+        """P as the demodulator sees it [V/m], shape (2, 2): the chain with the delay and the crosstalk of its multiplexer."""
+        pick = self.pickoff.matrix(temperature_rise_k)
+        if not self.multiplexing.enabled:
+            return pick
+        lag = cmath.exp(-1j * self.resonator.omega0_rad_s * self.multiplexing.delay_s)
+        share = self.multiplexing.crosstalk
+        return np.asarray(lag * np.array([[1.0, share], [share, 1.0]]) @ pick, dtype=complex)
+
+    def feedthrough_matrix(self) -> ComplexArray:
+        """E, shape (2, 2): zero where drives and readings do not meet, in time (multiplexer) or in frequency (drive at twice it)."""
+        if self.multiplexing.enabled or self.drive.at_twice_frequency:
+            return np.zeros((2, 2), dtype=complex)
+        return self.feedthrough.matrix()
+
+    @property
+    def loop_latency_s(self) -> float:
+        """Time from the centre of what a control step has measured to the centre of the drive that answers it [s].
+
+        Multiplexed: mean over the azimuth. The drive of an axis answers the reading of its own axis after one slot and that of the other
+        after three, and the wave's azimuth lags by ``1 + sin^2(2 psi)`` slots.
+        """
+        n = self.electronics.samples_per_control
+        samples = (0.375 * SLOTS * n + 0.5) if self.multiplexing.enabled else 2.0 * n - 0.5
+        return samples / self.electronics.adc_rate_hz
+
+    def drive_factor(self, pick_v: ComplexArray) -> float:
+        """Force per volt of the drive at pick-off envelopes over that of its gains: 1 unless the drives are at twice the frequency."""
+        if not self.drive.at_twice_frequency:
+            return 1.0
+        motion = np.linalg.solve(self.pickoff_matrix(self.temperature_rise(self.environment.temperature_degc)), pick_v)
+        return float(np.linalg.norm(motion)) * self.drive_factor_per_m
+
+    @property
+    def drive_factor_per_m(self) -> float:
+        """Factor of the drive per metre of motion, of drives at twice the frequency [1/m]: one at the nominal amplitude."""
+        return self.pickoff.gain_v_per_m / self.factory_data.nominal_amplitude_v
+
     def slow_flow(self, rate_rad_s: float = 0.0, temperature_degc: float | None = None, omega_rad_s: float | None = None) -> SlowFlow:
         """A, G, E of theory.md Eq. 4 at an input rate and temperature, about ``omega_rad_s`` (default: the natural frequency).
 
@@ -116,7 +170,7 @@ class Device:
         t = self.environment.temperature_degc if temperature_degc is None else temperature_degc
         rise = self.temperature_rise(t)
         omega = 2.0 * math.pi * self.resonator.frequency_at(t) if omega_rad_s is None else omega_rad_s
-        pick = self.pickoff.matrix(rise)
+        pick = self.pickoff_matrix(rise)
         inverse = np.linalg.inv(pick)
         stiffness = self.resonator.stiffness_matrix(t) - omega**2 * np.eye(2)
         inner = -0.5 * self.resonator.damping_matrix(t) + 0.5j / omega * stiffness
@@ -126,7 +180,7 @@ class Device:
         return SlowFlow(
             A=np.asarray(pick @ inner @ inverse + rate_rad_s * coriolis, dtype=complex),
             G=gain,
-            E=self.feedthrough.matrix(),
+            E=self.feedthrough_matrix(),
             omega0_rad_s=omega,
             dA_dOmega=coriolis,
         )
@@ -148,8 +202,13 @@ class Device:
                 "y": f.nominal_scale_factor_y_v_per_rad_s,
             },
             "nominal_amplitude_v": f.nominal_amplitude_v,
+            "mission_mode": f.mission_mode,
             "dac_zero_order_hold_s": 1.0 / self.electronics.adc_rate_hz,
+            "control_rate_hz": self.electronics.control_rate_hz,
+            "loop_latency_s": self.loop_latency_s,
         }
+        if self.drive.at_twice_frequency:
+            data["drive_at_twice_frequency"] = True
         if math.isfinite(f.drive_gain_ratio_x_over_y):
             data["drive_gain_ratio_x_over_y"] = f.drive_gain_ratio_x_over_y
         return data

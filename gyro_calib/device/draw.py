@@ -11,7 +11,7 @@ from ..errors import DeviceError
 from .chains import Feedthrough
 from .device import Device
 
-__all__ = ["Spread", "draw_unit"]
+__all__ = ["SPREADS", "Spread", "draw_unit"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,23 @@ class Spread:
     drive_gain_ratio: float = 15e-6
 
 
+#: spread by kind of resonator, where it is not that of a silicon ring
+SPREADS: dict[str, Spread] = {
+    "hrg": Spread(
+        frequency_hz=5.0,
+        quality_factor=0.05,
+        split_low_hz=1e-3,
+        split_high_hz=6e-3,
+        damping_anisotropy=1e-3,
+        gain_mismatch=5e-3,
+        misalignment_rad=2e-3,
+        phase_rad=2e-4,
+        coupling_phase_rad=0.02,
+        feedthrough=2e-5,
+    )
+}
+
+
 def draw_unit(design: Device, seed: int, spread: Spread | None = None) -> Device:
     """Return one unit of a design.
 
@@ -46,7 +63,7 @@ def draw_unit(design: Device, seed: int, spread: Spread | None = None) -> Device
     seed : int
         Same seed, same unit; the unit is named ``<design>-<seed, 4 digits>``.
     spread : Spread, optional
-        How much units differ.
+        How much units differ (default: as usual for the kind of resonator, :data:`SPREADS`).
 
     Returns
     -------
@@ -60,7 +77,7 @@ def draw_unit(design: Device, seed: int, spread: Spread | None = None) -> Device
     """
     if seed < 0:
         raise DeviceError(f"Argument seed must be >= 0, but got {seed!r}.")
-    s = spread or Spread()
+    s = spread or SPREADS.get(design.factory_data.kind, Spread())
     rng = np.random.default_rng([0x6797, seed])
     n = rng.standard_normal
     resonator = replace(

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from ..errors import DeviceError
 from .checks import require_finite, require_non_negative, require_positive
 
-__all__ = ["Electronics", "Environment", "Loops", "Noise"]
+__all__ = ["SLOTS", "Electronics", "Environment", "Loops", "Multiplexing", "Noise"]
+
+#: control periods in a frame of single-channel electronics: read x, drive x, read y, drive y
+SLOTS = 4
 
 
 @dataclass(frozen=True)
@@ -53,21 +56,68 @@ class Electronics:
 
 
 @dataclass(frozen=True)
+class Multiplexing:
+    """Single-channel electronics: one read and one drive chain, switched in time between the axes (document 004 section 2.2).
+
+    A frame of four slots, one control period each: read x, drive x, read y, drive y. Between its readings a pick-off is held; a drive is on
+    in its slot only, with the volts that give the commanded mean. Nothing is driven while anything is read, so there is no feedthrough.
+
+    Parameters
+    ----------
+    enabled : bool
+        False: dual-channel electronics, everything at once.
+    settling_share : float
+        Share of each slot, at its start, in which the switched chain settles and is not used.
+    delay_s : float
+        Delay of the read chain that the demodulator does not know: both pick-offs lag by omega times this.
+    crosstalk : float
+        Share of the other axis' voltage that is left on the read chain.
+    """
+
+    enabled: bool = False
+    settling_share: float = 0.25
+    delay_s: float = 0.0
+    crosstalk: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite(self)
+        require_non_negative(self, "settling_share", "delay_s")
+        if self.settling_share > 0.9:
+            raise DeviceError(f"Multiplexing settling_share must be at most 0.9, but got {self.settling_share!r}.")
+
+
+@dataclass(frozen=True)
 class Loops:
-    """Closed-loop bandwidths [Hz]."""
+    """Closed-loop bandwidths [Hz].
+
+    Parameters
+    ----------
+    pll_bandwidth_hz, amplitude_bandwidth_hz : float
+        Of every closed mode.
+    rebalance_bandwidth_hz : float
+        Both quadratures of the closed axis, force to rebalance.
+    quadrature_bandwidth_hz : float
+        Quadrature loop, whole angle.
+    ring_threshold : float
+        Amplitude over its set point at which a ring-down ends (document 003: one half).
+    """
 
     pll_bandwidth_hz: float = 20.0
     amplitude_bandwidth_hz: float = 10.0
     rebalance_bandwidth_hz: float = 100.0
+    quadrature_bandwidth_hz: float = 20.0
+    ring_threshold: float = 0.5
 
     def __post_init__(self) -> None:
         require_finite(self)
-        require_positive(self, "pll_bandwidth_hz", "amplitude_bandwidth_hz", "rebalance_bandwidth_hz")
+        require_positive(self, "pll_bandwidth_hz", "amplitude_bandwidth_hz", "rebalance_bandwidth_hz", "quadrature_bandwidth_hz")
+        if not 0.25 <= self.ring_threshold < 1.0:
+            raise DeviceError(f"Loops ring_threshold must be within 0.25 and 1, but got {self.ring_threshold!r}.")
 
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of the electronics; the thermomechanical noise follows from the resonator.
+    """White and flicker noise of the electronics; the thermomechanical noise follows from the resonator.
 
     Parameters
     ----------
@@ -77,15 +127,19 @@ class Noise:
         Drive noise, one-sided amplitude density [V/sqrt(Hz)].
     thermomechanical : bool
         Include the Brownian force.
+    drive_flicker_v : float
+        Flicker of what reaches the electrodes besides the command (pick-up of the reference, slow phase and gain errors): floor of the Allan
+        deviation of each quadrature of each channel [V]. Not in the drive columns. Sets the bias instability.
     """
 
     pickoff_v_rthz: float = 0.0
     drive_v_rthz: float = 0.0
     thermomechanical: bool = True
+    drive_flicker_v: float = 0.0
 
     def __post_init__(self) -> None:
         require_finite(self)
-        require_non_negative(self, "pickoff_v_rthz", "drive_v_rthz")
+        require_non_negative(self, "pickoff_v_rthz", "drive_v_rthz", "drive_flicker_v")
 
 
 @dataclass(frozen=True)

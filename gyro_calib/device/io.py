@@ -13,7 +13,7 @@ from ..errors import DeviceError
 from ..paths import share_path
 from .chains import DriveChain, Feedthrough, PickoffChain
 from .device import Device, FactoryData
-from .electronics import Electronics, Environment, Loops, Noise
+from .electronics import Electronics, Environment, Loops, Multiplexing, Noise
 from .resonator import Nonlinearity, Resonator
 
 __all__ = ["device_from_dict", "device_to_dict", "dump_device", "load_device"]
@@ -27,6 +27,7 @@ _PARTS: dict[str, type[Any]] = {
     "feedthrough": Feedthrough,
     "nonlinearity": Nonlinearity,
     "electronics": Electronics,
+    "multiplexing": Multiplexing,
     "loops": Loops,
     "noise": Noise,
     "environment": Environment,

@@ -2,6 +2,6 @@
 
 from .calibrate import calibrate
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
-from .slow_flow_fit import TableRow
+from .slow_flow_estimate import TableRow
 
 __all__ = ["CalibrationResult", "ConvergencePoint", "MissionChannel", "TableRow", "calibrate"]

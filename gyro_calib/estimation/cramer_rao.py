@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 def device_noise_density(device: Device, temperature_degc: float) -> Callable[[float], float]:
     """Two-sided density of ``e`` per quadrature [V^2/s^2/Hz] of a simulated device, by detuning [rad/s].
 
-    Force noise of acceleration density S_f gives ``2 S_f (P/2w)^2``; pick-off noise of one-sided density n gives ``n^2 |i delta + 1/tau|^2``.
+    Force noise of acceleration density S_f gives ``2 S_f (P/2w)^2``, pick-off noise of one-sided density n ``n^2 |i delta + 1/tau|^2``.
     """
     noise = device.noise
     thermal = device.resonator.thermal_acceleration_psd(temperature_degc) if noise.thermomechanical else 0.0

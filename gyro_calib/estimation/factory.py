@@ -26,13 +26,13 @@ from ..recording.recording import Campaign, Recording
 from .rate_table import RateTableFit, fit_rate_table
 from .separation import PickoffFrame, angular_response
 from .sideband import calibrate_sideband
-from .slow_flow_fit import TEMPERATURE_WINDOW_K
+from .slow_flow_data import TEMPERATURE_WINDOW_K
 
 __all__ = ["FactoryResult", "calibrate_factory"]
 
 FloatArray = NDArray[np.float64]
-#: a warning above this reduced chi-square of the form of A1, or of the regression
-_CHI2_WARN = 3.0
+#: a warning above these reduced chi-squares: of the regression, of the form of A1 (four degrees of freedom, once in ten thousand)
+_CHI2_WARN, _FORM_WARN = 3.0, 5.9
 #: kappa from a single table axis holds the cosine of a tilt of this size [rad] (an engineering estimate of a mounting plate)
 _UNSEEN_TILT_RAD = 5e-3
 
@@ -117,7 +117,7 @@ def calibrate_factory(
         on_progress(0.7)
     gain, frame, covariance, form_chi2 = _solve(fit)
     kappa, misalignment, warnings = _mounting(fit.axes, gain, covariance)
-    if form_chi2 > _CHI2_WARN:
+    if form_chi2 > _FORM_WARN:
         warnings.append(f"the response to rate leaves chi-square/dof {form_chi2:.1f} against -kappa P J P^-1: look at the table's rate")
     if fit.chi2_per_dof > _CHI2_WARN:
         warnings.append(f"the slow flow leaves chi-square/dof {fit.chi2_per_dof:.1f}: an effect is missing; standard deviations are scaled")

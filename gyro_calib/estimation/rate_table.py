@@ -33,6 +33,8 @@ _TOP_HZ, _MOST_LINES = 1.5, 16
 _ROUNDS = 2
 #: real cubic parameters of both axes
 _CUBIC_TERMS = 8
+#: least wander of the resonance from record to record [rad/s]: a millikelvin of silicon at 15 kHz
+_WANDER_RAD_S = 2.5e-3
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ class _Data:
     recordings: list[Recording]
     axes: FloatArray
     omega0: float
+    wander_rad_s: float
     has_feedthrough: bool
     bodies: list[float]
     signal: list[Projected]
@@ -135,6 +138,7 @@ class _Data:
             recordings=recordings,
             axes=np.array(axes),
             omega0=omega0,
+            wander_rad_s=_wander(recordings),
             has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
             bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
             signal=[project(r, _lines(r), omega0, decay_rate) for r in recordings],
@@ -145,7 +149,22 @@ class _Data:
         """Both axes; ``E`` corrects what the rate acts on."""
         columns = [self._columns(p, r, _lines(r), E, cubic=cubic) for p, r in zip(self.signal, self.recordings, strict=True)]
         noise = [self._columns(p, r, _quiet_lines(r), E, cubic=cubic) for p, r in zip(self.quiet, self.recordings, strict=True)]
-        return [_fit(self.recordings, self.signal, self.quiet, columns, noise, axis) for axis in range(2)]
+        return [self._fit(columns, noise, axis) for axis in range(2)]
+
+    def _fit(self, columns: list[ComplexArray], noise: list[ComplexArray], axis: int) -> LinearFit:
+        """One axis; the noise is measured on the quiet lines of the recordings of each role."""
+        roles = [_role(r, axis, self.omega0) for r in self.recordings]
+        models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in roles for part in ("re", "im")}
+        for turn in range(_ROUNDS + 1):
+            equations = []
+            for p, c, role in zip(self.signal, columns, roles, strict=True):
+                detuning, detuning_sd = _shift(p, role, axis, self.wander_rad_s)
+                sd_re, sd_im = (np.sqrt(models[role, part].density(p.frequency_hz)) for part in ("re", "im"))
+                equations.append(Equation(p.lhs[:, axis], c, p.gram, sd_re, sd_im, detuning, detuning_sd))
+            fit = fit_axis(equations)
+            if turn < _ROUNDS:
+                models = _measured(self.recordings, self.quiet, noise, roles, axis, fit.coefficients)
+        return fit
 
     def _columns(self, p: Projected, recording: Recording, lines: list[float], E: ComplexArray, *, cubic: bool) -> ComplexArray:
         """V, u, L[u] when E is sought, body volts, cubic terms, Omega' p, A of further axes, Omega p of each axis."""
@@ -192,40 +211,15 @@ def _block(fits: list[LinearFit], first: int) -> FloatArray:
     return out
 
 
-def _fit(
-    recordings: list[Recording],
-    signal: list[Projected],
-    quiet: list[Projected],
-    columns: list[ComplexArray],
-    noise_columns: list[ComplexArray],
-    axis: int,
-) -> LinearFit:
-    """One axis; the noise is measured on the quiet lines of the recordings of each role."""
-    roles = [_role(r, axis) for r in recordings]
-    models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in roles for part in ("re", "im")}
-    for turn in range(_ROUNDS + 1):
-        equations = [
-            Equation(
-                lhs=p.lhs[:, axis],
-                regressors=c,
-                gram=p.gram,
-                sd_re=np.sqrt(models[role, "re"].density(p.frequency_hz)),
-                sd_im=np.sqrt(models[role, "im"].density(p.frequency_hz)),
-                detuning=_shift(p, role, axis),
-            )
-            for p, c, role in zip(signal, columns, roles, strict=True)
-        ]
-        fit = fit_axis(equations)
-        if turn < _ROUNDS:
-            models = _measured(recordings, quiet, noise_columns, roles, axis, fit.coefficients)
-    return fit
-
-
-def _shift(p: Projected, role: str, axis: int) -> ComplexArray | None:
-    """The resonance of each recording is its own, and moves steadily: ``i lambda p`` where p is not held at zero."""
-    if role not in ("oscillator", "wave"):
-        return None
-    return np.column_stack([p.pick[:, axis], p.drift[:, axis]])
+def _wander(recordings: list[Recording]) -> float:
+    """How far the resonance wanders between records [rad/s]: scatter of the reference frequency of equal commands."""
+    groups: dict[tuple[str, float], list[float]] = {}
+    for r in recordings:
+        if r.command.oscillator_axis:
+            groups.setdefault((r.command.mode, r.command.setpoints.amplitude_v), []).append(float(r.ref_omega_rad_s.mean()))
+    squares = sum(len(g) * float(np.var(g)) for g in groups.values())
+    spare = sum(len(g) - 1 for g in groups.values())
+    return max(_WANDER_RAD_S, math.sqrt(squares / spare) if spare > 0 else 0.0)
 
 
 def _measured(
@@ -247,10 +241,20 @@ def _measured(
     return models
 
 
-def _role(recording: Recording, axis: int) -> str:
+def _shift(p: Projected, role: str, axis: int, wander_rad_s: float) -> tuple[ComplexArray | None, float]:
+    """Where p is not held at zero, the resonance of each recording is its own (``i lambda p``): free and moving steadily when a loop follows it,
+    within its wander when an open drive stands beside it."""
+    if role in ("oscillator", "wave"):
+        return np.column_stack([p.pick[:, axis], p.drift[:, axis]]), math.inf
+    return (p.pick[:, axis : axis + 1], wander_rad_s) if role.startswith("open") else (None, math.inf)
+
+
+def _role(recording: Recording, axis: int, omega0: float) -> str:
+    """Recordings of one role share their noise: the pick-off's part of it grows with the distance from resonance."""
     oscillator = recording.command.oscillator_axis
     if oscillator is None:
-        return "open" if recording.command.mode == "loops_off" else "wave"
+        distance = abs(recording.command.excitation.frequency_hz - omega0 / (2.0 * math.pi))
+        return f"open at {distance:.0f} Hz" if recording.command.mode == "loops_off" else "wave"
     return "oscillator" if oscillator == AXES[axis] else "closed"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..quantity import Quantity
-from .slow_flow_fit import TableRow
+from .slow_flow_estimate import TableRow
 
 __all__ = ["CalibrationResult", "ConvergencePoint", "MissionChannel"]
 

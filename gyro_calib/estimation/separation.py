@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from .slow_flow_fit import SlowFlowEstimate
+from .slow_flow_estimate import SlowFlowEstimate
 
 __all__ = ["PickoffFrame", "Priors", "angular_response", "input_rate_times_kappa", "solve_pickoff_frame"]
 

@@ -17,7 +17,9 @@ from ..recording.recording import Campaign, Recording
 from .linear_fit import NoiseModel
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
-from .slow_flow_fit import TEMPERATURE_WINDOW_K, SlowFlowEstimate, fit_slow_flow, usable_recordings
+from .slow_flow_data import TEMPERATURE_WINDOW_K, usable_recordings
+from .slow_flow_estimate import SlowFlowEstimate
+from .slow_flow_fit import fit_slow_flow
 
 __all__ = ["SidebandProblem", "calibrate_sideband"]
 
@@ -101,12 +103,16 @@ class SidebandProblem:
         *,
         cubic: bool | None = None,
         noise: Mapping[tuple[str, str, str], NoiseModel] | None = None,
+        fit: SlowFlowEstimate | None = None,
     ) -> None:
         self.kappa = kappa
+        # from the factory's rate table (calibration.factory_record), where there was one
+        self.kappa_sd = _of_factory(factory, "angular_gain_kappa_sd")
+        self.rate_difference = _of_factory(factory, "fixed_rate_difference_rad_s"), _of_factory(factory, "fixed_rate_difference_sd_rad_s")
         self.priors = priors
         self.factory = factory
         decay = math.pi * float(factory.get("nominal_f0_hz", 0.0)) / float(factory.get("nominal_q", math.inf))
-        self.fit: SlowFlowEstimate = fit_slow_flow(recordings, decay, cubic=cubic, noise=noise)
+        self.fit: SlowFlowEstimate = fit_slow_flow(recordings, decay, cubic=cubic, noise=noise) if fit is None else fit
         self.deviations = Deviations.of(self.fit, priors)
         ratio = factory.get("drive_gain_ratio_x_over_y")
         self.drive_ratio = float(ratio) if isinstance(ratio, int | float) and math.isfinite(ratio) else None
@@ -116,12 +122,17 @@ class SidebandProblem:
         self.volts = {axis: _held_volts(recordings, axis, self.amplitude) for axis in _AXIS}
 
     def derive(self, vector: FloatArray, nuisance: FloatArray) -> _Derived:
-        """Rate, bias, scale factors, … of a parameter vector; ``nuisance`` are the priors' means in standard deviations."""
+        """Rate, bias, scale factors, … of a parameter vector; ``nuisance`` are the priors' means in standard deviations.
+
+        The rate is the true one: what the reciprocity finds less the fixed difference that the factory saw (document 000, "an estimated fixed
+        difference between the two rates may be applied to subsequent calibrations in the field").
+        """
+        kappa = self.kappa + self.kappa_sd * nuisance[5]
         v = self.fit.unpack(vector)
         A, G, E = v.A, v.G, v.E
         frame = solve_pickoff_frame(self.fit, vector, self.deviations, self.drive_ratio, self.priors, nuisance)
-        rate = input_rate_times_kappa(A, frame) / self.kappa
-        response = angular_response(frame, self.kappa)
+        rate = input_rate_times_kappa(A, frame) / kappa - self.rate_difference[0] - self.rate_difference[1] * nuisance[6]
+        response = angular_response(frame, kappa)
         at_rest = A - rate * response
         bare = frame.without_phase(at_rest)
         symmetric = bare @ frame.metric
@@ -132,7 +143,7 @@ class SidebandProblem:
             running[:, osc] += v.cubic[:, osc] * self.amplitude**2
             point = ftr_operating_point(running, G, np.zeros((2, 2), dtype=complex), self.amplitude, axis)
             gain = abs(G[1 - osc, 1 - osc])
-            slope = self.stretch[axis] * self.kappa * self.amplitude * (frame.ratio / gain if axis == "x" else -1.0 / (frame.ratio * gain))
+            slope = self.stretch[axis] * kappa * self.amplitude * (frame.ratio / gain if axis == "x" else -1.0 / (frame.ratio * gain))
             named[f"bias_{axis}"], named[f"scale_{axis}"] = point.rate_channel_v / slope, slope
             named[f"mission_bias_{axis}"], named[f"mission_scale_{axis}"] = _line(
                 running, self.stretch[axis] * response, G, E, self.volts[axis], self.amplitude, axis
@@ -259,8 +270,8 @@ class SidebandProblem:
         return tuple(not_observable), tuple(warnings)
 
 
-#: priors that enter the covariance: n, rho, r, eps, drive-gain ratio
-NUISANCES = 5
+#: priors that enter the covariance: n, rho, r, eps, drive-gain ratio; kappa and the fixed rate difference of the factory
+NUISANCES = 7
 
 
 def _line(
@@ -273,6 +284,11 @@ def _line(
         return ftr_operating_point(at_rest + rate * response, G, E, amplitude, axis, volts=volts)
 
     return at(0.0).rate_channel_v, (at(step).rate_channel_v - at(-step).rate_channel_v) / (2.0 * step)
+
+
+def _of_factory(factory: Mapping[str, Any], name: str) -> float:
+    value = factory.get(name)
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
 
 
 def _main_amplitude(recordings: list[Recording]) -> float:

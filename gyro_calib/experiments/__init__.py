@@ -1,5 +1,6 @@
 """Sequences of commands and what they must record, written once against the instrument seam."""
 
+from .bench_plans import BENCH_PLANS, factory_plan, pickoff_phase_plan
 from .instrument import Instrument
 from .plan import Limits, Plan, Step
 from .plans import PLANS, QUALITIES, cubic_plan, feedthrough_plan, plan_by_name, self_calibration_plan, sideband_plan, static_plan
@@ -7,6 +8,7 @@ from .runner import Progress, run_plan
 from .simulated import SimulatedInstrument
 
 __all__ = [
+    "BENCH_PLANS",
     "PLANS",
     "QUALITIES",
     "Instrument",
@@ -16,7 +18,9 @@ __all__ = [
     "SimulatedInstrument",
     "Step",
     "cubic_plan",
+    "factory_plan",
     "feedthrough_plan",
+    "pickoff_phase_plan",
     "plan_by_name",
     "run_plan",
     "self_calibration_plan",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import DataError
@@ -12,7 +12,7 @@ from ..recording.command import Command, Setpoints
 from .plan import Limits, Plan, Step
 from .plans import QUALITIES, self_calibration_plan
 
-__all__ = ["ORIENTATIONS", "factory_plan", "pickoff_phase_plan"]
+__all__ = ["BENCH_PLANS", "ORIENTATIONS", "factory_plan", "pickoff_phase_plan"]
 
 #: which axis of the case lies along the table's, by name
 ORIENTATIONS: dict[str, tuple[float, float, float]] = {"z": (0.0, 0.0, 1.0), "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
@@ -90,3 +90,7 @@ def pickoff_phase_plan(factory: Mapping[str, Any], *, quality: str = "standard",
             command = Command(f"ftr_{axis}", setpoints=Setpoints(volts))
             steps.append(Step(f"large_{axis}_{share:g}", command, 2.0 * raw_s, _SETTLE_S, raw_s=raw_s))
     return Plan("pickoff_phase", tuple(steps), limits or Limits(), Command("ftr_x", setpoints=Setpoints(amplitude)))
+
+
+#: plans that ask abilities of the instrument which a gyro in the field has not
+BENCH_PLANS: dict[str, Callable[..., Plan]] = {"factory": factory_plan, "pickoff_phase": pickoff_phase_plan}

@@ -59,7 +59,7 @@ def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "stand
     Parameters
     ----------
     name : str
-        One of :data:`PLANS`.
+        One of :data:`PLANS`, or of the bench's (:data:`.bench_plans.BENCH_PLANS`: a rate table, converter samples).
     factory : mapping
         Factory data of the unit.
     quality : {"quick", "standard", "fine"}
@@ -71,9 +71,12 @@ def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "stand
     DataError
         Unknown plan or quality, or factory data that lack what the plan needs.
     """
-    if name not in PLANS:
-        raise DataError(f"Plan must be one of {', '.join(PLANS)}, but got {name!r}.")
-    return PLANS[name](factory, quality=quality, limits=limits)
+    from .bench_plans import BENCH_PLANS  # they are built on the ones here
+
+    plans = PLANS | BENCH_PLANS
+    if name not in plans:
+        raise DataError(f"Plan must be one of {', '.join(plans)}, but got {name!r}.")
+    return plans[name](factory, quality=quality, limits=limits)
 
 
 def sideband_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:

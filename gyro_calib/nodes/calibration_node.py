@@ -223,7 +223,7 @@ class CalibrationNode(Node):
         device = check_device(facts.device_id, self._settings.device_id)
         self._present, self._refusal = facts.device_id, "" if device.passed else device.message
         if facts.device_id != self._bound and self._runs.busy:
-            (lambda t: None)(
+            self._runs.abort(
                 f"Gyro must stay {self._bound!r} during a run, but is now {facts.device_id!r}. Start the run again with one unit."
             )
             return  # the run ends first; the next answer of the driver finds it ended

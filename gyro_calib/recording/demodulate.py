@@ -22,7 +22,7 @@ from .decimation import RowGrid, decimate
 from .phase_lock import LEAST_SAMPLES_PER_CYCLE, carrier_frequency, is_phase, lock_phase
 from .recording import Recording
 
-__all__ = ["demodulate"]
+__all__ = ["demodulate", "reference_phase"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -111,6 +111,15 @@ def demodulate(
     return replace(
         recording, data=data, sample_rate_hz=raw.rate_hz / decimation, extras={**recording.extras, "demodulation": how}, raw=None
     )
+
+
+def reference_phase(
+    recording: Recording, *, reference: str = "auto", bandwidth_hz: float = 200.0, factory: Mapping[str, Any] | None = None
+) -> tuple[FloatArray, slice]:
+    """Phase at every raw sample [rad], and the samples where it is sound; arguments and errors as :func:`demodulate`."""
+    raw = _Raw.of(recording)
+    phase, margin, _ = _reference(raw, recording, reference, _number((factory or {}).get("nominal_f0_hz")), bandwidth_hz)
+    return phase, slice(margin, raw.size - margin)
 
 
 @dataclass(frozen=True)

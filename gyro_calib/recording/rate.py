@@ -1,4 +1,5 @@
-"""The uncalibrated rate a gyro's own firmware reports: rebalance drive over the *nominal* scale factor.
+"""The uncalibrated rate that a gyro's own firmware reports: from the rebalance drive over the *nominal* scale factor, or from the azimuth of a
+free wave over the *nominal* angular gain.
 
 ``omega_meas = K omega + b + n`` with ``K`` the true scale factor over the nominal one; calibration finds ``K`` and ``b``.
 """
@@ -15,38 +16,84 @@ from ..errors import DataError
 from .columns import column_index
 from .command import Command
 
-__all__ = ["raw_rate"]
+__all__ = ["WAVE_MODES", "raw_rate", "wave_azimuth"]
 
+FloatArray = NDArray[np.float64]
+#: modes in which the wave turns freely
+WAVE_MODES = ("whole_angle", "stiffness", "ring_down", "ring_up")
 _RATE_COLUMN = {"ftr_x": ("y_drive_s", "x"), "ftr_y": ("x_drive_s", "y")}
 
 
-def raw_rate(rows: NDArray[np.float64], command: Command, factory: Mapping[str, Any]) -> NDArray[np.float64]:
+def raw_rate(rows: FloatArray, command: Command, factory: Mapping[str, Any], *, before: FloatArray | None = None) -> FloatArray:
     """Uncalibrated rate of each row [rad/s].
 
     Parameters
     ----------
     rows : ndarray, shape (n, 12)
-        Rows in recording order.
+        Rows in recording order, of one segment.
     command : Command
-        What was in force; only force-to-rebalance modes have a rate channel.
+        What was in force.
     factory : mapping
-        ``nominal_scale_factor_v_per_rad_s`` {x, y} at ``nominal_amplitude_v`` (default 1 V).
+        ``nominal_scale_factor_v_per_rad_s`` {x, y} at ``nominal_amplitude_v`` (default 1 V); of a free wave ``angular_gain_kappa``.
+    before : ndarray, shape (12,), optional
+        The row before the first one, of a free wave: with it the rates of successive blocks add up to the angle turned, however the rows
+        are divided.
 
     Returns
     -------
     ndarray, shape (n,)
-        Rebalance drive in phase with velocity over the nominal scale factor (theory.md Eq. 7); NaN in other modes.
+        Force to rebalance: rebalance drive in phase with velocity over the nominal scale factor (theory.md Eq. 7). Free wave
+        (:data:`WAVE_MODES`): mean of ``-2 theta' / kappa`` (Eq. 6) since the row before, less what the commanded virtual precession turns a
+        nominal gyro, ``u / S``; the first row without ``before`` has the rate of the second. NaN in other modes, and for a single row of a
+        free wave on its own.
 
     Raises
     ------
     DataError
-        The factory data lack the nominal scale factor.
+        The factory data lack what the mode needs.
     """
+    if command.mode in WAVE_MODES:
+        return _wave_rate(rows, command, factory, before)
     if command.mode not in _RATE_COLUMN:
         return np.full(rows.shape[0], np.nan)
     column, axis = _RATE_COLUMN[command.mode]
+    return rows[:, column_index(column)] / (_nominal_scale(factory, axis) * command.setpoints.amplitude_v)
+
+
+def wave_azimuth(rows: FloatArray) -> FloatArray:
+    """Azimuth theta of the wave [rad], unwrapped, shape (n,): half the angle of the pick-offs turned back by their phase.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, 12)
+        Rows in recording order.
+    """
+    x, y = rows[:, 2] + 1j * rows[:, 3], rows[:, 4] + 1j * rows[:, 5]
+    back = np.exp(-0.5j * np.angle(x * x + y * y))
+    # a phase past a quarter turn flips both: the wave is the same after half a turn of psi
+    azimuth: FloatArray = 0.5 * np.unwrap(np.arctan2((y * back).real, (x * back).real), period=np.pi)
+    return azimuth
+
+
+def _wave_rate(rows: FloatArray, command: Command, factory: Mapping[str, Any], before: FloatArray | None) -> FloatArray:
+    all_rows = rows if before is None else np.vstack([before, rows])
+    if all_rows.shape[0] < 2:
+        return np.full(rows.shape[0], np.nan)
+    kappa = factory.get("angular_gain_kappa")
+    if not isinstance(kappa, int | float):
+        raise DataError(f"Factory data must hold angular_gain_kappa for the rate of a whole-angle gyro, but got {kappa!r}.")
+    rate = -2.0 / float(kappa) * np.diff(wave_azimuth(all_rows)) / np.diff(all_rows[:, 0])
+    if before is None:
+        rate = np.concatenate([rate[:1], rate])
+    precession = command.setpoints.virtual_precession_v
+    if precession:
+        rate = rate + precession / (_nominal_scale(factory, "x") * np.sqrt((rows[:, 2:6] ** 2).sum(axis=1)))
+    return np.asarray(rate, dtype=np.float64)
+
+
+def _nominal_scale(factory: Mapping[str, Any], axis: str) -> float:
+    """Nominal scale factor per volt of amplitude [(V per rad/s) per V]."""
     nominal = factory.get("nominal_scale_factor_v_per_rad_s")
     if not isinstance(nominal, Mapping) or axis not in nominal:
         raise DataError(f"Factory data must hold nominal_scale_factor_v_per_rad_s for axis {axis!r}, but got {nominal!r}.")
-    scale = float(nominal[axis]) * command.setpoints.amplitude_v / float(factory.get("nominal_amplitude_v", 1.0))
-    return rows[:, column_index(column)] / scale
+    return float(nominal[axis]) / float(factory.get("nominal_amplitude_v", 1.0))

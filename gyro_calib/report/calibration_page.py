@@ -165,7 +165,7 @@ def _verdict(result: CalibrationResult, comparison: Comparison | None) -> tuple[
         f"a scale-factor error of {number(comparison.before_scale_factor.value, 100.0)} ppm to {number(scale.value, scale.sd)} ppm, "
         "without turning the device"
     )
-    return text + (", within the claimed uncertainty." if honest else ", but outside three claimed standard deviations."), honest
+    return text + (", within three claimed standard deviations." if honest else ", but outside three claimed standard deviations."), honest
 
 
 def _tiles(result: CalibrationResult, facts: RunFacts, comparison: Comparison | None, rates: Rates | None) -> Sequence[Tile]:

@@ -11,13 +11,29 @@ import math
 import numpy as np
 
 from ..device.averaging import instant_force
+from ..device.electronics import SLOTS
 from ..jit import kernel
-from .control import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, control_step
+from .control import control_step
+from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT
+from .multiplex import READ_X, READ_Y, slot_envelope, slot_gains
 from .propagator import exact_propagator
 
-__all__ = ["FLAG_CONVERTERS", "FLAG_NONLINEAR", "FLAG_PICKOFF_CUBIC", "FLAG_PICKOFF_GAP", "FLAG_RAW", "RAW_CHANNELS", "carrier_rows", "emit_row"]
+__all__ = [
+    "FLAG_CONVERTERS",
+    "FLAG_MULTIPLEXED",
+    "FLAG_NONLINEAR",
+    "FLAG_PICKOFF_CUBIC",
+    "FLAG_PICKOFF_GAP",
+    "FLAG_RAW",
+    "FLAG_STRAY",
+    "FLAG_TWICE",
+    "RAW_CHANNELS",
+    "carrier_rows",
+    "emit_row",
+]
 
 FLAG_NONLINEAR, FLAG_CONVERTERS, FLAG_PICKOFF_CUBIC, FLAG_PICKOFF_GAP, FLAG_RAW = 1, 2, 4, 8, 16
+FLAG_MULTIPLEXED, FLAG_TWICE, FLAG_STRAY = 32, 64, 128
 #: x pick-off, y pick-off, x drive as the converter holds it, y drive [V], phase reference [rad]
 RAW_CHANNELS = 5
 
@@ -53,7 +69,7 @@ def emit_row(steps, row_w, acc, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _write_raw(volts, phase, advance, axr, axi, ayr, ayi, line, first):  # type: ignore[no-untyped-def]
+def _write_raw(volts, phase, advance, axr, axi, ayr, ayi, settling, line, first):  # type: ignore[no-untyped-def]
     """Write the raw samples of one control step: the pick-offs from their products with the reference, the drives as they are held."""
     for j in range(volts.shape[0]):
         angle = phase + advance * j
@@ -61,14 +77,14 @@ def _write_raw(volts, phase, advance, axr, axi, ayr, ayi, line, first):  # type:
         at = first + RAW_CHANNELS * j
         line[at] = 0.5 * (volts[j, 0] * c - volts[j, 1] * s)
         line[at + 1] = 0.5 * (volts[j, 2] * c - volts[j, 3] * s)
-        line[at + 2] = axr * c - axi * s
-        line[at + 3] = ayr * c - ayi * s
+        line[at + 2] = axr * c - axi * s if j >= settling else 0.0
+        line[at + 3] = ayr * c - ayi * s if j >= settling else 0.0
         line[at + 4] = angle
 
 
 @kernel
 def carrier_rows(  # type: ignore[no-untyped-def]
-    z, loop, param, adc_acc, row_acc, adc_w, row_w, physics, drive, pick, feed, body, nonlinear, converters, const, flags, noise, out
+    z, loop, param, adc_acc, row_acc, adc_w, row_w, physics, drive, stray, pick, feed, body, nonlinear, converters, const, flags, noise, out
 ):
     """Simulate ``out.shape[0]`` rows, in place.
 
@@ -79,7 +95,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     loop, param : ndarray
         State and parameters of :func:`.control.control_step`.
     adc_acc : ndarray, shape (2, 4)
-        Accumulators of the demodulated pick-offs: of the period under way and of the one after it.
+        Accumulators of the demodulated pick-offs: of the period under way and of the one after it. Multiplexed: the first keeps the readings.
     row_acc : ndarray, shape (2, 9)
         Accumulators of the row under way and of the one after it.
     adc_w, row_w : ndarray, shape (3, samples) and (2, 3, controls)
@@ -88,14 +104,17 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         k11, k12, k22 [1/s^2], c11, c12, c21, c22 [1/s] (damping plus Coriolis), force-noise kick [m/s per sample, over w] of each row.
     drive, pick, feed : ndarray, shape (rows or 1, 8)
         B [m/s^2/V], P [V/m], E: re, im of xx, xy, yx, yy. Drive and pick per row.
+    stray : ndarray, shape (rows, 4), or (0, 4) without FLAG_STRAY
+        Drive that reaches the electrodes besides the command [V]: re, im of x, y.
     body : float
         Force per mass and volt of the body excitation [m/s^2/V].
     nonlinear : ndarray, shape (6,)
         See :class:`gyro_calib.device.Nonlinearity`.
     converters : ndarray, shape (7,)
         ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2], one over the gap of x and y in pick-off volts [1/V].
-    const : ndarray, shape (3,)
-        Sample time [s], nominal w [rad/s], pick-off noise [V per sample].
+    const : ndarray, shape (5,)
+        Sample time [s], nominal w [rad/s], pick-off noise [V per sample], samples in which a multiplexed chain settles, factor of the drive per
+        metre of motion with FLAG_TWICE [1/m].
     flags : int
         Which of the rarer branches are on.
     noise : ndarray, shape (4 samples,), float32
@@ -116,6 +135,9 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     n10, n11, n12, n13 = adc_acc[1, 0], adc_acc[1, 1], adc_acc[1, 2], adc_acc[1, 3]
     nonlinear_on, converters_on, cubic_on = flags & FLAG_NONLINEAR != 0, flags & FLAG_CONVERTERS != 0, flags & FLAG_PICKOFF_CUBIC != 0
     gap_on, raw_on = flags & FLAG_PICKOFF_GAP != 0, flags & FLAG_RAW != 0
+    multiplexed, twice_on, stray_on = flags & FLAG_MULTIPLEXED != 0, flags & FLAG_TWICE != 0, flags & FLAG_STRAY != 0
+    settling = int(const[3]) if multiplexed else 0
+    on_share = (samples - settling) / samples
     half_kick = -0.5 * dt / w
     n = 0
     x, y, vx, vy = z[0], z[1], z[2], z[3]
@@ -138,10 +160,27 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             ca, sa = math.cos(half), math.sin(half)
             axr, axi = uxc * ca - uxs * sa, uxc * sa + uxs * ca
             ayr, ayi = uyc * ca - uys * sa, uyc * sa + uys * ca
-            fxr = b[0] * axr - b[1] * axi + b[2] * ayr - b[3] * ayi + body * loop[S_BODY] * ca
-            fxi = b[0] * axi + b[1] * axr + b[2] * ayi + b[3] * ayr + body * loop[S_BODY] * sa
-            fyr = b[4] * axr - b[5] * axi + b[6] * ayr - b[7] * ayi + body * loop[S_BODY] * ca
-            fyi = b[4] * axi + b[5] * axr + b[6] * ayi + b[7] * ayr + body * loop[S_BODY] * sa
+            if multiplexed:
+                gx, gy = slot_gains(loop)
+                gx, gy = gx / on_share, gy / on_share
+                axr, axi, ayr, ayi = gx * axr, gx * axi, gy * ayr, gy * ayi
+            fxr = b[0] * axr - b[1] * axi + b[2] * ayr - b[3] * ayi
+            fxi = b[0] * axi + b[1] * axr + b[2] * ayi + b[3] * ayr
+            fyr = b[4] * axr - b[5] * axi + b[6] * ayr - b[7] * ayi
+            fyi = b[4] * axi + b[5] * axr + b[6] * ayi + b[7] * ayr
+            # what acts whether the drives are on or not
+            wxr = wyr = body * loop[S_BODY] * ca
+            wxi = wyi = body * loop[S_BODY] * sa
+            if stray_on:
+                qxr, qxi, qyr, qyi = stray[row, 0], stray[row, 1], stray[row, 2], stray[row, 3]
+                wxr += b[0] * qxr - b[1] * qxi + b[2] * qyr - b[3] * qyi
+                wxi += b[0] * qxi + b[1] * qxr + b[2] * qyi + b[3] * qyr
+                wyr += b[4] * qxr - b[5] * qxi + b[6] * qyr - b[7] * qyi
+                wyi += b[4] * qxi + b[5] * qxr + b[6] * qyi + b[7] * qyr
+            if twice_on:
+                factor = math.sqrt((x * x + y * y) + (vx * vx + vy * vy)) * const[4]
+                fxr, fxi, fyr, fyi = factor * fxr, factor * fxi, factor * fyr, factor * fyi
+            fxr, fxi, fyr, fyi = fxr + wxr, fxi + wxi, fyr + wyr, fyi + wyi
             exr = feed[0] * uxc - feed[1] * uxs + feed[2] * uyc - feed[3] * uys
             exi = feed[0] * uxs + feed[1] * uxc + feed[2] * uys + feed[3] * uyc
             eyr = feed[4] * uxc - feed[5] * uxs + feed[6] * uyc - feed[7] * uys
@@ -164,7 +203,10 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                     voltx = _converter(voltx, converters[0], converters[1])
                     volty = _converter(volty, converters[0], converters[1])
                 volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3] = 2.0 * voltx * c, -2.0 * voltx * s, 2.0 * volty * c, -2.0 * volty * s
-                forcex, forcey = fxr * c - fxi * s, fyr * c - fyi * s
+                if j < settling:
+                    forcex, forcey = wxr * c - wxi * s, wyr * c - wyi * s
+                else:
+                    forcex, forcey = fxr * c - fxi * s, fyr * c - fyi * s
                 if nonlinear_on:
                     kx, ky = instant_force(x, y, vx * w, vy * w, nonlinear)
                     vx += half_kick * kx
@@ -181,12 +223,20 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
                 n += 4
             if raw_on:
-                _write_raw(volts, phase, omega * dt, axr, axi, ayr, ayi, out[row], 9 + RAW_CHANNELS * samples * step)
+                _write_raw(volts, phase, omega * dt, axr, axi, ayr, ayi, settling, out[row], 9 + RAW_CHANNELS * samples * step)
+            if multiplexed:
+                slot = int(loop[S_SLOT])
+                if slot == READ_X:
+                    n00, n01 = slot_envelope(volts, 0, phase, omega * dt, settling)
+                elif slot == READ_Y:
+                    n02, n03 = slot_envelope(volts, 2, phase, omega * dt, settling)
+                loop[S_SLOT] = (slot + 1) % SLOTS
             phase = (phase + omega * dt * samples) % (2.0 * math.pi)
             xc, xs, yc, ys = n00, n01, n02, n03
-            n00, n01, n02, n03 = n10, n11, n12, n13
-            n10 = n11 = n12 = n13 = 0.0
-            for j in range(samples):
+            if not multiplexed:
+                n00, n01, n02, n03 = n10, n11, n12, n13
+                n10 = n11 = n12 = n13 = 0.0
+            for j in range(0 if multiplexed else samples):
                 h0, h1, h2 = adc_w[0, j], adc_w[1, j], adc_w[2, j]
                 v0, v1, v2, v3 = volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3]
                 xc, xs, yc, ys = xc + h0 * v0, xs + h0 * v1, yc + h0 * v2, ys + h0 * v3

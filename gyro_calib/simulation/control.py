@@ -29,6 +29,7 @@ from .control_layout import (
     P_PERIOD,
     P_REB_KI,
     P_REB_KP,
+    P_REBALANCE,
     P_STIFFNESS,
     P_VOLTS,
     S_BODY,
@@ -74,6 +75,9 @@ def _rebalance_step(state, param, oc, os, cc, cs):  # type: ignore[no-untyped-de
         error -= param[P_INDEX] * wave
     lock_frequency(state, param, error)
     along = hold_amplitude(state, param, target - oc)
+    if param[P_REBALANCE] == 0.0:  # open secondary
+        state[S_REB_C] = state[S_REB_S] = 0.0
+        return along, 0.0, 0.0
     # secondary modulation asks for a small known motion of the closed axis
     if excitation == EXC_SECONDARY:
         cc -= amplitude * param[P_INDEX] * wave

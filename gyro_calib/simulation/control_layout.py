@@ -19,12 +19,13 @@ EXC_NONE, EXC_AMPLITUDE, EXC_FREQUENCY, EXC_SECONDARY, EXC_DRIVE, EXC_BODY = 0, 
 S_PHASE, S_OMEGA, S_PLL, S_AMP, S_REB_C, S_REB_S, S_TIME, S_DRIVE, S_BODY = 0, 1, 2, 3, 4, 5, 6, 7, 11
 S_QUAD, S_WAVE, S_LEG, S_SLOT = 12, 13, 15, 16
 N_STATE = 17
-# parameters: mode, set points and excitation, then omega nominal, loop gains, DAC full scale, compensation (4), control period; then of the
-#             whole-angle modes: quadrature gains, precession [V], CR [V/V], CA [V/V], threshold as a share of the set point, CA constant
+# parameters: mode, set points and excitation, then omega nominal, loop gains, DAC full scale, compensation (4), control period,
+#             whether the closed axis is held; then of the whole-angle modes: quadrature gains, precession [V], CR [V/V], CA [V/V], threshold
+#             over the set point, whether CA drives with constant volts
 P_MODE, P_AMPLITUDE, P_EXCITATION, P_FREQUENCY, P_INDEX, P_VOLTS, P_AXIS, P_OMEGA = 0, 1, 2, 3, 4, 5, 6, 7
 P_PLL_KP, P_PLL_KI, P_AMP_KP, P_AMP_KI, P_REB_KP, P_REB_KI, P_FULL_SCALE, P_COMP, P_PERIOD = 8, 9, 10, 11, 12, 13, 14, 15, 19
-P_QUAD_KP, P_QUAD_KI, P_PRECESSION, P_STIFFNESS, P_GAIN, P_THRESHOLD, P_CONSTANT = 20, 21, 22, 23, 24, 25, 26
-N_PARAM = 27
+P_REBALANCE, P_QUAD_KP, P_QUAD_KI, P_PRECESSION, P_STIFFNESS, P_GAIN, P_THRESHOLD, P_CONSTANT = 20, 21, 22, 23, 24, 25, 26, 27
+N_PARAM = 28
 
 #: square of the amplitude, over that of the set point, below which the phase of an oscillation is noise
 SEEN = 0.04

@@ -8,14 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..device import Device
+from ..device.electronics import SLOTS
 from ..device.operating_point import OperatingPoint
+from ..errors import DeviceError
 from ..recording.command import Command
-from . import control as c
+from . import control_layout as c
 
-__all__ = ["initial_loop_state", "loop_parameters", "supported_modes"]
+__all__ = ["check_command", "hand_over", "initial_loop_state", "loop_parameters", "supported_modes"]
 
 FloatArray = NDArray[np.float64]
-_MODES = {"ftr_x": c.MODE_FTR_X, "ftr_y": c.MODE_FTR_Y, "loops_off": c.MODE_LOOPS_OFF}
+_MODES = {
+    "ftr_x": c.MODE_FTR_X,
+    "ftr_y": c.MODE_FTR_Y,
+    "loops_off": c.MODE_LOOPS_OFF,
+    "whole_angle": c.MODE_WHOLE_ANGLE,
+    "ring_down": c.MODE_RING_DOWN,
+    "ring_up": c.MODE_RING_UP,
+    # stiffness control acts in every closed mode: this one says what it is for
+    "stiffness": c.MODE_WHOLE_ANGLE,
+}
 _EXCITATIONS = {
     "none": c.EXC_NONE,
     "amplitude_modulation": c.EXC_AMPLITUDE,
@@ -54,15 +65,60 @@ def loop_parameters(device: Device, command: Command) -> FloatArray:
         (c.P_PLL_KP, c.P_PLL_KI, device.loops.pll_bandwidth_hz, 1.0),
         (c.P_AMP_KP, c.P_AMP_KI, device.loops.amplitude_bandwidth_hz, gain),
         (c.P_REB_KP, c.P_REB_KI, device.loops.rebalance_bandwidth_hz, gain),
+        (c.P_QUAD_KP, c.P_QUAD_KI, device.loops.quadrature_bandwidth_hz, gain),
     ):
         crossover = 2.0 * math.pi * bandwidth
         param[kp] = crossover / scale
         param[ki] = (0.5 * crossover) ** 2 / scale
-    param[c.P_FULL_SCALE] = device.electronics.dac_full_scale_v
+    # a multiplexed drive is on for a share of the time and gives the rest in advance
+    on_share = (1.0 - device.multiplexing.settling_share) / SLOTS if device.multiplexing.enabled else 1.0
+    param[c.P_FULL_SCALE] = device.electronics.dac_full_scale_v * on_share
     param[c.P_COMP : c.P_COMP + 4] = command.compensation
     param[c.P_REBALANCE] = command.setpoints.rebalance
     param[c.P_PERIOD] = 1.0 / device.electronics.control_rate_hz
+    param[c.P_PRECESSION] = command.setpoints.virtual_precession_v
+    param[c.P_STIFFNESS] = command.setpoints.stiffness_v_per_v
+    param[c.P_GAIN] = command.setpoints.amplitude_gain_v_per_v
+    param[c.P_THRESHOLD] = device.loops.ring_threshold
+    param[c.P_CONSTANT] = float(device.drive.at_twice_frequency)
     return param
+
+
+def check_command(command: Command) -> None:
+    """Refuse what the loops cannot do.
+
+    Raises
+    ------
+    DeviceError
+        Unknown mode, an excitation that the mode does not have, or a ring-down that drives up (or the reverse).
+    """
+    if command.mode not in _MODES:
+        raise DeviceError(f"Mode must be one of {', '.join(_MODES)} for this simulator, but got {command.mode!r}.")
+    if _MODES[command.mode] < c.MODE_WHOLE_ANGLE:
+        return
+    if command.excitation.kind != "none":
+        raise DeviceError(f"Excitation must be none in mode {command.mode}, but got {command.excitation.kind!r}.")
+    gain = command.setpoints.amplitude_gain_v_per_v
+    if (command.mode == "ring_down" and gain > 0.0) or (command.mode == "ring_up" and gain <= 0.0):
+        wanted = "<= 0 in mode ring_down" if command.mode == "ring_down" else "> 0 in mode ring_up"
+        raise DeviceError(f"Set point amplitude_gain_v_per_v must be {wanted}, but got {gain!r}. Negative drives down, 0 rings down freely.")
+
+
+def hand_over(state: FloatArray, before: Command, after: Command) -> None:
+    """Prepare the loop state for a new command, in place: the wave keeps its azimuth, its quadrature drive goes on.
+
+    A drive ``u_perp_c n_perp`` of the whole-angle loops is ``-u_perp_c`` on x for a wave on y, ``u_perp_c`` on y for one on x.
+    """
+    state[c.S_LEG] = 0.0
+    free, freed = _MODES[before.mode] >= c.MODE_WHOLE_ANGLE, _MODES[after.mode] >= c.MODE_WHOLE_ANGLE
+    if freed and not free and before.oscillator_axis is not None:
+        on_x = before.oscillator_axis == "x"
+        state[c.S_WAVE], state[c.S_WAVE + 1] = (1.0, 0.0) if on_x else (0.0, 1.0)
+        state[c.S_QUAD] = -state[c.S_REB_S] if on_x else state[c.S_REB_S]
+    elif free and after.oscillator_axis is not None:
+        on_x = after.oscillator_axis == "x"
+        state[c.S_REB_C] = 0.0
+        state[c.S_REB_S] = -state[c.S_QUAD] * state[c.S_WAVE] if on_x else state[c.S_QUAD] * state[c.S_WAVE + 1]
 
 
 def initial_loop_state(device: Device, command: Command, point: OperatingPoint) -> FloatArray:
@@ -75,5 +131,6 @@ def initial_loop_state(device: Device, command: Command, point: OperatingPoint) 
     state[c.S_PLL] = omega - 2.0 * math.pi * device.factory_data.nominal_f0_hz
     state[c.S_AMP] = point.drive[osc].imag
     state[c.S_REB_C], state[c.S_REB_S] = -rebalance.imag, rebalance.real
+    state[c.S_WAVE + osc] = 1.0
     state[c.S_DRIVE : c.S_DRIVE + 4] = [point.drive[0].real, point.drive[0].imag, point.drive[1].real, point.drive[1].imag]
     return state

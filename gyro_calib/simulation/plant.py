@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..device import Device, J
+from ..device.electronics import SLOTS
 from ..device.operating_point import OperatingPoint
-from . import carrier, control, filters
+from . import carrier, control_layout, filters
+from .flicker import FlickerSource
 from .normals import NormalSource
 from .slow_flow import slow_flow_rows
 
@@ -24,9 +26,10 @@ _NODE_K = 0.1
 
 
 class Plant(Protocol):
-    """Advances the physics; ``param`` holds the loop parameters in force."""
+    """Advances the physics; ``param`` holds the loop parameters in force, ``loop`` the state of the loops."""
 
     param: FloatArray
+    loop: FloatArray
     row_delay_s: float
 
     def __init__(self, device: Device, rng: np.random.Generator, loop: FloatArray, start: OperatingPoint, *, noisy: bool) -> None: ...
@@ -66,23 +69,31 @@ class _Base:
         self.device = device
         self.noisy = noisy
         self._normals = NormalSource(rng)
+        flicker = device.noise.drive_flicker_v if noisy else 0.0
+        self._flicker = FlickerSource(np.random.default_rng(rng.integers(0, 2**63, size=4)), flicker, 4, 1.0 / e.sample_rate_hz)
+        self._has_flicker = flicker > 0.0
         self.loop = loop
-        self.param = np.zeros(control.N_PARAM)
+        self.param = np.zeros(control_layout.N_PARAM)
         self.adc_w = filters.polyphase_weights(e.samples_per_control)
         self.shares = self.adc_w.sum(axis=1)
-        self.row_w = np.stack([filters.polyphase_weights(e.controls_per_row, after) for after in (None, self.shares)])
-        samples = filters.group_delay_samples(e.samples_per_control) + e.samples_per_control * filters.group_delay_samples(
-            e.controls_per_row
-        )
-        # a row ends with its newest sample at (count * samples - 1) sample times
-        self.row_delay_s = (samples + 1.0) / e.adc_rate_hz
-        volts = start.pick + device.feedthrough.matrix() @ start.drive
+        n = e.samples_per_control
+        multiplexing = device.multiplexing
+        self.settling = round(multiplexing.settling_share * n) if multiplexing.enabled else 0
+        # how far the centre of what the pick-offs are made of lies behind the end of a control period [samples]
+        age = filters.group_delay_samples(n) + 1.0
+        after = self.shares
+        if multiplexing.enabled:  # held over the frame: the other columns wait as long
+            age = 0.5 * (n - self.settling + 1) + 0.5 * (SLOTS - 1) * n
+            after = filters.delay_taps((age + 0.5) / n - 0.5)
+        self.row_w = np.stack([filters.polyphase_weights(e.controls_per_row, taps) for taps in (None, after)])
+        self.row_delay_s = (age + n * filters.group_delay_samples(e.controls_per_row)) / e.adc_rate_hz
+        volts = start.pick + device.feedthrough_matrix() @ start.drive
         self.channels0 = np.array(
-            [volts[0].real, volts[0].imag, volts[1].real, volts[1].imag, *loop[control.S_DRIVE : control.S_DRIVE + 4]]
+            [volts[0].real, volts[0].imag, volts[1].real, volts[1].imag, *loop[control_layout.S_DRIVE : control_layout.S_DRIVE + 4]]
         )
         # accumulators hold what earlier, steady samples would have left behind
         tail = np.repeat([[w[1:].sum(), w[2].sum()] for w in self.row_w], [4, 5], axis=0).T
-        self.row_acc = tail * np.append(self.channels0, loop[control.S_OMEGA])
+        self.row_acc = tail * np.append(self.channels0, loop[control_layout.S_OMEGA])
 
     def force_psd(self, temperature_degc: float) -> float:
         """Two-sided density of the force noise per mass [(m/s^2)^2/Hz]."""
@@ -96,6 +107,10 @@ class _Base:
         """One-sided amplitude density of the pick-off noise [V/sqrt(Hz)]."""
         return self.device.noise.pickoff_v_rthz if self.noisy else 0.0
 
+    def stray_drive(self, rows: int) -> FloatArray:
+        """What reaches the electrodes besides the command in the next rows [V], shape (rows, 4); (0, 4) when nothing does."""
+        return self._flicker.rows(rows) if self._has_flicker else np.zeros((0, 4))
+
     def normals(self, count: int) -> NDArray[np.float32]:
         """Standard normals, shape (count,); zeros without noise."""
         return self._normals.draw(count) if self.noisy else np.zeros(count, dtype=np.float32)
@@ -106,12 +121,14 @@ class CarrierPlant(_Base):
 
     def __init__(self, device: Device, rng: np.random.Generator, loop: FloatArray, start: OperatingPoint, *, noisy: bool) -> None:
         super().__init__(device, rng, loop, start, noisy=noisy)
-        omega = loop[control.S_OMEGA]
+        omega = loop[control_layout.S_OMEGA]
         self.w = device.resonator.omega0_rad_s
         self._physics = _OverTemperature(self._physics_at)
-        motion = np.linalg.solve(device.pickoff.matrix(self._rise0()), start.pick)
+        motion = np.linalg.solve(device.pickoff_matrix(self._rise0()), start.pick)
         self.z = np.concatenate([motion.real, -motion.imag * omega / self.w])
         tail = np.array([self.adc_w[1:].sum(), self.adc_w[2].sum()])
+        if device.multiplexing.enabled:
+            tail = np.array([1.0, 0.0])
         self.adc_acc = tail[:, None] * self.channels0[None, :4]
         e = device.electronics
         full = (e.adc_full_scale_v, e.dac_full_scale_v)
@@ -129,6 +146,9 @@ class CarrierPlant(_Base):
             (carrier.FLAG_NONLINEAR if any(device.nonlinearity.coefficients) else 0)
             | (carrier.FLAG_PICKOFF_CUBIC if device.pickoff.cubic_per_v2 else 0)
             | (carrier.FLAG_PICKOFF_GAP if device.pickoff.gap_amplitude_v else 0)
+            | (carrier.FLAG_MULTIPLEXED if device.multiplexing.enabled else 0)
+            | (carrier.FLAG_TWICE if device.drive.at_twice_frequency else 0)
+            | (carrier.FLAG_STRAY if self._has_flicker else 0)
             | carrier.FLAG_CONVERTERS
         )
 
@@ -148,17 +168,17 @@ class CarrierPlant(_Base):
     def _simulate(self, rate_rad_s: FloatArray, temperature_degc: FloatArray, flags: int, width: int) -> FloatArray:
         d, count = self.device, rate_rad_s.size
         dt = 1.0 / d.electronics.adc_rate_hz
-        const = np.array([dt, self.w, self.pickoff_density() * math.sqrt(0.5 / dt)])
+        const = np.array([dt, self.w, self.pickoff_density() * math.sqrt(0.5 / dt), self.settling, d.drive_factor_per_m])
         noise = self.normals(4 * count * self.row_w.shape[2] * self.adc_w.shape[1])
         out = np.empty((count, width))
         physics = self._physics.rows(temperature_degc)
         physics[:, 3:7] += np.multiply.outer(rate_rad_s, 2.0 * d.resonator.angular_gain * J.ravel())
         rise = temperature_degc - d.resonator.reference_temperature_degc
         drive = _scaled(_parts(d.drive.matrix()), 1.0 + d.drive.gain_tempco_per_k * rise)
-        pick = _scaled(_parts(d.pickoff.matrix()), 1.0 + d.pickoff.gain_tempco_per_k * rise)
+        pick = _scaled(_parts(d.pickoff_matrix()), 1.0 + d.pickoff.gain_tempco_per_k * rise)
         carrier.carrier_rows(
             self.z, self.loop, self.param, self.adc_acc, self.row_acc, self.adc_w, self.row_w,
-            physics, drive, pick, _parts(d.feedthrough.matrix()), d.drive.gain_m_s2_per_v,
+            physics, drive, self.stray_drive(count), pick, _parts(d.feedthrough_matrix()), d.drive.gain_m_s2_per_v,
             np.array(d.nonlinearity.coefficients), self.converters, const, flags, noise, out,
         )  # fmt: skip
         return out
@@ -176,10 +196,10 @@ class SlowFlowPlant(_Base):
 
     def __init__(self, device: Device, rng: np.random.Generator, loop: FloatArray, start: OperatingPoint, *, noisy: bool) -> None:
         super().__init__(device, rng, loop, start, noisy=noisy)
-        volts = start.pick + device.feedthrough.matrix() @ start.drive
+        volts = start.pick + device.feedthrough_matrix() @ start.drive
         self.p = _parts(start.pick)
         self.means = np.tile(_parts(volts), (2, 1))
-        self.pick = device.pickoff.matrix()
+        self.pick = device.pickoff_matrix()
         self.unpick = np.linalg.inv(self.pick)
         self._period = 1.0 / device.electronics.control_rate_hz
         self._coriolis = _parts(device.slow_flow().dA_dOmega) * self._period
@@ -189,13 +209,19 @@ class SlowFlowPlant(_Base):
         """See :class:`Plant`."""
         d = self.device
         nonlinear = np.array(d.nonlinearity.coefficients)
-        const = np.array([self._period, self.pickoff_density() / math.sqrt(self._period), float(nonlinear.any())])
+        n = d.electronics.samples_per_control
+        pick_noise = self.pickoff_density() / math.sqrt(self._period * (1.0 - self.settling / n))
+        reading = 0.5 * (1.0 + (self.settling - 1.0) / n) if d.multiplexing.enabled else 0.5
+        shares = np.array([1.0, 0.0, 0.0]) if d.multiplexing.enabled else self.shares
+        per_metre = d.drive_factor_per_m if d.drive.at_twice_frequency else 0.0
+        multiplexed, strayed = float(d.multiplexing.enabled), float(self._has_flicker)
+        const = np.array([self._period, pick_noise, float(nonlinear.any()), reading, multiplexed, per_metre, strayed])
         table, place = self._flow.table(temperature_degc)
         noise = self.normals(8 * rate_rad_s.size * self.row_w.shape[2])
         out = np.empty((rate_rad_s.size, 9))
         slow_flow_rows(
-            self.p, self.loop, self.param, self.means, self.row_acc, self.shares, self.row_w, table, place, self._coriolis, rate_rad_s,
-            self.pick, self.unpick, nonlinear, _parts(d.feedthrough.matrix()), const, noise, out,
+            self.p, self.loop, self.param, self.means, self.row_acc, shares, self.row_w, table, place, self._coriolis, rate_rad_s,
+            self.stray_drive(rate_rad_s.size), self.pick, self.unpick, nonlinear, _parts(d.feedthrough_matrix()), const, noise, out,
         )  # fmt: skip
         return out
 

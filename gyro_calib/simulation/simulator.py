@@ -13,7 +13,7 @@ from ..device import Device
 from ..errors import DeviceError
 from ..jit import say_if_uncompiled
 from ..recording.command import Command
-from .loops import initial_loop_state, loop_parameters, supported_modes
+from .loops import check_command, hand_over, initial_loop_state, loop_parameters
 from .plant import CarrierPlant, Plant, SlowFlowPlant
 from .thermal import TemperatureWander
 from .truth import Truth, operating_point, truth_of
@@ -128,14 +128,14 @@ class GyroSimulator:
         Raises
         ------
         DeviceError
-            A mode that this device's loops do not have.
+            Something that this device's loops do not do.
         """
-        if command.mode not in supported_modes():
-            raise DeviceError(f"Mode must be one of {', '.join(supported_modes())} for this simulator, but got {command.mode!r}.")
+        check_command(command)
         gap = self._device.pickoff.gap_amplitude_v
         largest = command.setpoints.amplitude_v * (1.0 + abs(command.excitation.index))
         if gap and largest > 0.7 * gap:
             raise DeviceError(f"Amplitude must stay below 0.7 of the gap, {0.7 * gap:.3g} V, but got {largest:.3g} V. Lower the set point.")
+        hand_over(self._plant.loop, self._command, command)
         self._command = command
         self._plant.param[:] = loop_parameters(self._device, command)
         self._segment += 1

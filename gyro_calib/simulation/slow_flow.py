@@ -7,12 +7,17 @@ phi1'(-i theta) M`` with ``M = T A``, ``theta = T delta`` and series in theta: `
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..device.averaging import averaged_force
+from ..device.electronics import SLOTS
 from ..jit import kernel
 from .carrier import emit_row
-from .control import S_BODY, S_DRIVE, S_OMEGA, control_step
+from .control import control_step
+from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_SLOT
+from .multiplex import READ_X, READ_Y, slot_gains
 
 __all__ = ["FLOW_COLUMNS", "slow_flow_rows"]
 
@@ -32,8 +37,16 @@ def _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear):
 
 
 @kernel
+def _motion(pxr, pxi, pyr, pyi, unpick):  # type: ignore[no-untyped-def]
+    """Amplitude of the motion [m] of pick-off envelopes [V]."""
+    px, py = complex(pxr, pxi), complex(pyr, pyi)
+    zx, zy = unpick[0, 0] * px + unpick[0, 1] * py, unpick[1, 0] * px + unpick[1, 1] * py
+    return math.sqrt((zx.real * zx.real + zx.imag * zx.imag) + (zy.real * zy.real + zy.imag * zy.imag))
+
+
+@kernel
 def slow_flow_rows(  # type: ignore[no-untyped-def]
-    p, loop, param, means, row_acc, shares, row_w, table, place, coriolis, rate, pick, unpick, nonlinear, feed, const, noise, out
+    p, loop, param, means, row_acc, shares, row_w, table, place, coriolis, rate, stray, pick, unpick, nonlinear, feed, const, noise, out
 ):
     """Simulate ``out.shape[0]`` rows, in place.
 
@@ -44,7 +57,7 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
     loop, param : ndarray
         State and parameters of :func:`.control.control_step`.
     means : ndarray, shape (2, 4)
-        Mean pick-off with feedthrough of the last two control periods, newest first [V].
+        Mean pick-off with feedthrough of the last two control periods, newest first; multiplexed, what is held of it [V].
     row_acc, shares, row_w
         Filter state, share of each control period in the converter filter, shape (3,), and weights as in :func:`.carrier.emit_row`.
     table : ndarray, shape (nodes, FLOW_COLUMNS)
@@ -55,14 +68,17 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
         T dA/dOmega.
     rate : ndarray, shape (rows,)
         Input rate [rad/s].
+    stray : ndarray, shape (rows, 4), or (0, 4) for none
+        Drive that reaches the electrodes besides the command [V]: re, im of x, y.
     pick, unpick : ndarray, shape (2, 2), complex
         P [V/m] and its inverse, for the nonlinear forces.
     nonlinear : ndarray, shape (6,)
         ``Nonlinearity.coefficients``.
     feed : ndarray, shape (8,)
         E: re, im of xx, xy, yx, yy.
-    const : ndarray, shape (3,)
-        Control period [s], sd of the pick-off noise per period [V], 1 when there are nonlinear forces.
+    const : ndarray, shape (7,)
+        Control period [s], sd of the pick-off noise per period [V], 1 when there are nonlinear forces, place of a reading in its period (0 to
+        1), 1 when multiplexed, factor of the drive per metre of motion or 0 for none [1/m], 1 when there is stray drive.
     noise : ndarray, shape (8 rows controls,), float32
         Standard normals: force on x, y, then pick-off noise of x, y, each re, im.
     out : ndarray, shape (rows, 9)
@@ -70,6 +86,9 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
     """
     controls = row_w.shape[2]
     period, pick_noise, curved = const[0], const[1], const[2] > 0.0
+    late, early, multiplexed, per_metre = const[3], 1.0 - const[3], const[4] > 0.0, const[5]
+    strayed = const[6] > 0.0
+    altered = multiplexed or per_metre > 0.0 or strayed
     sh0, sh1, sh2 = shares[0], shares[1], shares[2]
     e0, e1, e2, e3, e4, e5, e6, e7 = feed[0], feed[1], feed[2], feed[3], feed[4], feed[5], feed[6], feed[7]
     steps = np.empty((controls, 9))
@@ -93,15 +112,24 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             omega = loop[S_OMEGA]
             uxr, uxi, uyr, uyi = loop[S_DRIVE], loop[S_DRIVE + 1], loop[S_DRIVE + 2], loop[S_DRIVE + 3]
             push = loop[S_BODY]
+            dxr, dxi, dyr, dyi = uxr, uxi, uyr, uyi
+            if altered:
+                gx, gy = slot_gains(loop) if multiplexed else (1.0, 1.0)
+                if per_metre > 0.0:
+                    factor = per_metre * _motion(pxr, pxi, pyr, pyi, unpick)
+                    gx, gy = gx * factor, gy * factor
+                dxr, dxi, dyr, dyi = gx * uxr, gx * uxi, gy * uyr, gy * uyi
+                if strayed:
+                    dxr, dxi, dyr, dyi = dxr + stray[row, 0], dxi + stray[row, 1], dyr + stray[row, 2], dyi + stray[row, 3]
             th = (omega - omega0) * period
             th2 = th * th
             # s = phi1(-i theta), d = phi1'(-i theta)
             sr, si = 1.0 - th2 * (1.0 / 6.0 - th2 * (1.0 / 120.0)), -th * (0.5 - th2 * (1.0 / 24.0))
             dr, di = 0.5 - th2 * (1.0 / 8.0 - th2 * (1.0 / 144.0)), -th * (1.0 / 3.0 - th2 * (1.0 / 30.0))
-            rxr = (a0 * pxr - (a1 - th) * pxi) + (a2 * pyr - a3 * pyi) + (f[16] * push + ((g0 * uxr - g1 * uxi) + (g2 * uyr - g3 * uyi)))
-            rxi = (a0 * pxi + (a1 - th) * pxr) + (a2 * pyi + a3 * pyr) + (f[17] * push + ((g0 * uxi + g1 * uxr) + (g2 * uyi + g3 * uyr)))
-            ryr = (a6 * pyr - (a7 - th) * pyi) + (a4 * pxr - a5 * pxi) + (f[18] * push + ((g4 * uxr - g5 * uxi) + (g6 * uyr - g7 * uyi)))
-            ryi = (a6 * pyi + (a7 - th) * pyr) + (a4 * pxi + a5 * pxr) + (f[19] * push + ((g4 * uxi + g5 * uxr) + (g6 * uyi + g7 * uyr)))
+            rxr = (a0 * pxr - (a1 - th) * pxi) + (a2 * pyr - a3 * pyi) + (f[16] * push + ((g0 * dxr - g1 * dxi) + (g2 * dyr - g3 * dyi)))
+            rxi = (a0 * pxi + (a1 - th) * pxr) + (a2 * pyi + a3 * pyr) + (f[17] * push + ((g0 * dxi + g1 * dxr) + (g2 * dyi + g3 * dyr)))
+            ryr = (a6 * pyr - (a7 - th) * pyi) + (a4 * pxr - a5 * pxi) + (f[18] * push + ((g4 * dxr - g5 * dxi) + (g6 * dyr - g7 * dyi)))
+            ryi = (a6 * pyi + (a7 - th) * pyr) + (a4 * pxi + a5 * pxr) + (f[19] * push + ((g4 * dxi + g5 * dxr) + (g6 * dyi + g7 * dyr)))
             if curved:
                 b0, b1, b2, b3 = _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear)
                 rxr, rxi, ryr, ryi = rxr + b0, rxi + b1, ryr + b2, ryi + b3
@@ -111,11 +139,18 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             qxi = (pxi + kick * noise[n + 1]) + ((sr * rxi + si * rxr) + (dr * bxi + di * bxr))
             qyr = (pyr + kick * noise[n + 2]) + ((sr * ryr - si * ryi) + (dr * byr - di * byi))
             qyi = (pyi + kick * noise[n + 3]) + ((sr * ryi + si * ryr) + (dr * byi + di * byr))
-            mxr = 0.5 * (pxr + qxr) + (((e0 * uxr - e1 * uxi) + (e2 * uyr - e3 * uyi)) + pick_noise * noise[n + 4])
-            mxi = 0.5 * (pxi + qxi) + (((e0 * uxi + e1 * uxr) + (e2 * uyi + e3 * uyr)) + pick_noise * noise[n + 5])
-            myr = 0.5 * (pyr + qyr) + (((e4 * uxr - e5 * uxi) + (e6 * uyr - e7 * uyi)) + pick_noise * noise[n + 6])
-            myi = 0.5 * (pyi + qyi) + (((e4 * uxi + e5 * uxr) + (e6 * uyi + e7 * uyr)) + pick_noise * noise[n + 7])
+            mxr = (early * pxr + late * qxr) + (((e0 * uxr - e1 * uxi) + (e2 * uyr - e3 * uyi)) + pick_noise * noise[n + 4])
+            mxi = (early * pxi + late * qxi) + (((e0 * uxi + e1 * uxr) + (e2 * uyi + e3 * uyr)) + pick_noise * noise[n + 5])
+            myr = (early * pyr + late * qyr) + (((e4 * uxr - e5 * uxi) + (e6 * uyr - e7 * uyi)) + pick_noise * noise[n + 6])
+            myi = (early * pyi + late * qyi) + (((e4 * uxi + e5 * uxr) + (e6 * uyi + e7 * uyr)) + pick_noise * noise[n + 7])
             pxr, pxi, pyr, pyi = qxr, qxi, qyr, qyi
+            if multiplexed:
+                slot = int(loop[S_SLOT])
+                if slot != READ_X:
+                    mxr, mxi = m1xr, m1xi
+                if slot != READ_Y:
+                    myr, myi = m1yr, m1yi
+                loop[S_SLOT] = (slot + 1) % SLOTS
             vxr, vxi = sh0 * mxr + (sh1 * m1xr + sh2 * m2xr), sh0 * mxi + (sh1 * m1xi + sh2 * m2xi)
             vyr, vyi = sh0 * myr + (sh1 * m1yr + sh2 * m2yr), sh0 * myi + (sh1 * m1yi + sh2 * m2yi)
             s = steps[step]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...estimation.separation import Priors
 from ...estimation.sideband import SidebandProblem
-from ...estimation.slow_flow_fit import usable_recordings
+from ...estimation.slow_flow_data import usable_recordings
 from ...quantity import Quantity
 from ...units import DEG_H
 from ..gates import Gate, rms

@@ -10,7 +10,7 @@ import numpy as np
 from ...estimation.cramer_rao import device_noise_density, slow_flow_bound
 from ...estimation.separation import Priors
 from ...estimation.sideband import SidebandProblem
-from ...estimation.slow_flow_fit import usable_recordings
+from ...estimation.slow_flow_data import usable_recordings
 from ...quantity import Quantity
 from ..gates import Gate, rms
 from ..registry import Figures, Study

@@ -10,7 +10,7 @@ import numpy as np
 from ...device import Nonlinearity, load_device
 from ...estimation.separation import Priors
 from ...estimation.sideband import SidebandProblem
-from ...estimation.slow_flow_fit import usable_recordings
+from ...estimation.slow_flow_data import usable_recordings
 from ...experiments import cubic_plan
 from ...quantity import Quantity
 from ...units import DEG_H

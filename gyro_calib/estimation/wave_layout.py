@@ -1,0 +1,116 @@
+"""Which unknowns a whole-angle regression has, in which order, and their regressors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording.recording import Recording
+from .wave_projection import WaveProjected
+from .wave_terms import Term
+
+__all__ = ["Layout"]
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Complex unknowns, in order: per axis a (A_ax, A_ay, G~_ax, G~_ay, E_ax, E_ay, body …), then as far as they are sought the response to
+    rate (xx, xy, yx, yy), the change of E with frequency over the resonance's (4), the time shift of the table (4), the cubic terms.
+
+    Parameters
+    ----------
+    omega0_rad_s : float
+    has_feedthrough : bool
+        Open drive was recorded: E is an unknown.
+    bodies : tuple of float
+        Frequencies of body excitation [Hz].
+    turned : bool
+        A rate was applied.
+    jerked : bool
+        It changed during a recording.
+    dispersive : bool
+        Open drive at two or more distances from resonance: a feedthrough that follows the frequency (a capacitor's, a converter's delay)
+        shows, and would bend E if it were left out.
+    terms : tuple of Term
+    """
+
+    omega0_rad_s: float
+    has_feedthrough: bool
+    bodies: tuple[float, ...] = ()
+    turned: bool = False
+    jerked: bool = False
+    dispersive: bool = False
+    terms: tuple[Term, ...] = ()
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], omega0_rad_s: float) -> Layout:
+        """What these recordings can determine."""
+        open_drive = [r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "drive"]
+        turned = [r for r in recordings if "applied_rate" in r.extras]
+        return cls(
+            omega0_rad_s=omega0_rad_s,
+            has_feedthrough=bool(open_drive),
+            bodies=tuple(sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})),
+            turned=bool(turned),
+            jerked=any(_changes(r) for r in turned),
+            dispersive=len({round(f, 3) for f in open_drive}) > 1,
+        )
+
+    @property
+    def per_axis(self) -> int:
+        """Complex unknowns of one axis of the flow."""
+        return 4 + 2 * int(self.has_feedthrough) + len(self.bodies)
+
+    @property
+    def rate_response(self) -> slice:
+        """Place of the response to rate."""
+        first = 2 * self.per_axis
+        return slice(first, first + 4 * int(self.turned))
+
+    def term(self, name: str) -> slice:
+        """Place of a cubic term."""
+        first = self.rate_response.stop + 4 * int(self.dispersive) + 4 * int(self.jerked)
+        for term in self.terms:
+            if term.name == name:
+                return slice(first, first + len(term.coefficients))
+            first += len(term.coefficients)
+        raise KeyError(name)
+
+    def flow(self, coefficients: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """A and E, shape (2, 2) each (E zero when it is not an unknown)."""
+        block = coefficients[: 2 * self.per_axis].reshape(2, -1)
+        return block[:, :2], block[:, 4:6] if self.has_feedthrough else np.zeros((2, 2), dtype=complex)
+
+    def regressors(self, p: WaveProjected, recording: Recording, A: ComplexArray, E: ComplexArray) -> ComplexArray:
+        """Columns in order, shape (equations, unknowns); A and E of a round before enter the small corrections."""
+        count = p.lhs.size
+        excitation = recording.command.excitation
+        parts: list[ComplexArray] = []
+        for a in range(2):
+            parts += [p.pick[:, a], p.drive[:, a]]
+            if self.has_feedthrough:
+                parts.append(p.drive_rate[:, a])
+            parts += [(p.body[:, a] * (excitation.kind == "body" and excitation.frequency_hz == f))[:, None] for f in self.bodies]
+        if self.turned:
+            # rate acts on the motion, not on the feedthrough beside it
+            parts.append((p.rate_pick - np.einsum("jac,bc->jab", p.rate_drive, E)).reshape(count, 4))
+        if self.dispersive:
+            away = 0.0
+            if excitation.kind == "drive":
+                away = 2.0 * np.pi * excitation.frequency_hz / self.omega0_rad_s - 1.0
+            parts.append(away * p.drive_rate.reshape(count, 4))
+        if self.jerked:
+            parts.append(p.jerk.reshape(count, 4))
+        parts += [term.columns(p.terms, A) for term in self.terms]
+        return np.hstack(parts)
+
+
+def _changes(recording: Recording) -> bool:
+    from ..recording.applied_rate import applied_rate
+
+    return bool(np.any(applied_rate(recording)[1] != 0.0))

@@ -1,0 +1,77 @@
+"""Where in frequency a whole-angle recording says something, where only noise is left, and which recordings share their noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..recording.recording import Recording
+
+__all__ = ["quiet_lines", "role_of", "signal_lines"]
+
+#: harmonics of the modal azimuth that a wave's equations hold: 2 psi from the linear model, 4 psi from cubic terms
+_HARMONICS = 4
+#: highest line of records whose drive is switched [Hz], and most lines of one of them
+_SWITCHED_HZ, _SWITCHED_LINES = 1.5, 24
+#: above this many lines only the harmonics and their neighbours are taken
+_MOST_LINES = 64
+_QUIET_LINES = 24
+#: least span of the quiet lines [Hz], and their highest line over the row rate
+_QUIET_HZ, _QUIET_TOP = 4.0, 0.1
+
+
+def role_of(recording: Recording) -> str:
+    """Recordings of one role share their noise: it depends on what is driven, and in open drive on the distance from resonance."""
+    mode = recording.command.mode
+    if mode == "loops_off":
+        return f"open {recording.command.excitation.kind} {recording.command.excitation.frequency_hz:.0f} Hz"
+    if "applied_rate" in recording.extras:
+        return "turned"
+    if mode == "whole_angle":
+        return "precession" if recording.command.setpoints.virtual_precession_v != 0.0 else "free"
+    return "ring" if mode.startswith("ring") else mode
+
+
+def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
+    """Lines that hold signal [Hz].
+
+    Parameters
+    ----------
+    recording : Recording
+    speed_rad_s : float
+        How fast the azimuth psi moves.
+    """
+    if recording.command.mode == "loops_off":
+        return [0.0]
+    step = 1.0 / recording.duration_s
+    excitation = recording.command.excitation
+    if recording.command.oscillator_axis and "applied_rate" not in recording.extras:
+        return [0.0, excitation.frequency_hz] if excitation.kind.endswith("modulation") else [0.0]
+    turn = speed_rad_s / (2.0 * math.pi)
+    top = _HARMONICS * turn + 3.0 * step
+    if recording.command.mode != "whole_angle" or "applied_rate" in recording.extras:
+        top = max(top, min(_SWITCHED_HZ, _SWITCHED_LINES * step))
+    top = min(top, 0.5 * _QUIET_TOP * recording.sample_rate_hz)
+    lines = step * np.arange(int(top / step) + 1)
+    if lines.size > _MOST_LINES:
+        nearest = np.abs(lines[:, None] - turn * np.arange(_HARMONICS + 1)).min(axis=1)
+        lines = lines[nearest <= 2.5 * step]
+    return [float(f) for f in lines]
+
+
+def quiet_lines(recording: Recording, highest_signal_hz: float) -> list[float]:
+    """Lines of which only noise is expected once the model is taken away [Hz]."""
+    step = 1.0 / recording.duration_s
+    first = highest_signal_hz + 1.8 * step
+    last = max(min(first + max(_QUIET_HZ, 8.0 * step), _QUIET_TOP * recording.sample_rate_hz), first + 4.0 * step)
+    lines = np.geomspace(first, last, _QUIET_LINES)
+    spaced = [lines[0]]
+    for f in lines[1:]:
+        if f - spaced[-1] >= 1.3 * step:
+            spaced.append(f)
+    excitation = recording.command.excitation
+    if excitation.kind.endswith("modulation"):
+        busy = excitation.frequency_hz * np.arange(1, 8)
+        spaced = [f for f in spaced if np.min(np.abs(busy - f)) > 1.7 * step]
+    return [float(f) for f in spaced]

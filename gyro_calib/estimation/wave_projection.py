@@ -1,0 +1,241 @@
+"""Project the slow flow in the frame of the wave: the four equations of theory.md Eq. 6, still exact and still linear in (A, G~, E).
+
+A whole-angle wave precesses, so the test functions do too: ``phi(t) n(t)`` and ``phi(t) n_perp(t)`` with n along the measured (smoothed)
+azimuth. Integration by parts holds for any smooth frame, so nothing is approximated; the frame only sorts what is measured: real part along
+the wave = amplitude (damping, gain), imaginary part along = resonance frequency (where its wander is), real part across = precession (rate,
+forcer errors), imaginary part across = quadrature (frequency split). Each has a noise of its own; in the axes of the pick-offs the wander
+of the resonance would be in all of them.
+
+Every product is formed at full rate and then thinned by one low-pass kernel, the same for all: that is a change of the test functions, not
+an approximation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording.applied_rate import applied_rate
+from ..recording.recording import Recording
+from .projection import hold_factor, test_functions
+from .wave import smooth_azimuth, wave_coordinates
+
+__all__ = ["CHANNELS", "Products", "WaveProjected", "in_wave_frame"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Number = TypeVar("Number", np.float64, np.complex128)
+Signal = Callable[[ComplexArray, ComplexArray], ComplexArray]
+#: what the equations are: real and imaginary part along the wave, then across it
+CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
+#: rows per second after thinning, and how much of its time the azimuth is smoothed over [s]
+_THIN_HZ = 100.0
+_SMOOTH_S = 0.2
+
+
+@dataclass(frozen=True)
+class WaveProjected:
+    """The equations of one recording on its lines, along the wave first, then across: 2 m of them.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (2 m,)
+    lhs : ndarray, shape (2 m,), complex
+        L[V] [V/s].
+    pick, drive, drive_rate : ndarray, shape (2 m, 2, 2), complex
+        Regressors [equation, axis a, column b] of A_ab, G~_ab, E_ab.
+    rate_pick, rate_drive, jerk : ndarray, shape (2 m, 2, 2), complex
+        Applied rate times V, times u, and its change times V.
+    body : ndarray, shape (2 m, 2), complex
+        Projected volts of the body excitation, by axis.
+    resonance : ndarray, shape (2 m, 2), complex
+        V, and V times time from -1 to 1: regressors of this recording's own resonance shift.
+    terms : dict of str to ndarray, shape (2 m, k), complex
+        By name, see :func:`in_wave_frame`.
+    gram : ndarray, shape (2 m, 2 m)
+        Inner products of the test functions.
+    """
+
+    frequency_hz: FloatArray
+    lhs: ComplexArray
+    pick: ComplexArray
+    drive: ComplexArray
+    drive_rate: ComplexArray
+    rate_pick: ComplexArray
+    rate_drive: ComplexArray
+    jerk: ComplexArray
+    body: ComplexArray
+    resonance: ComplexArray
+    terms: dict[str, ComplexArray]
+    gram: FloatArray
+
+
+def _thin(signal: NDArray[Number], width: int) -> NDArray[Number]:
+    """Three running means of ``width`` rows, one row of ``width`` kept; along the first axis."""
+    if width <= 1:
+        return signal
+    for _ in range(3):
+        total = np.concatenate([np.zeros((1, *signal.shape[1:]), dtype=signal.dtype), np.cumsum(signal, axis=0)])
+        signal = (total[width:] - total[:-width]) / width
+    return signal[::width]
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """One direction of the frame and its first two derivatives, shape (n, 2)."""
+
+    m: FloatArray
+    m1: FloatArray
+    m2: FloatArray
+
+
+class Products:
+    """Thinned products of one recording; :meth:`project` puts them on lines.
+
+    Parameters
+    ----------
+    recording : Recording
+        One segment.
+    omega0_rad_s : float
+        Frequency about which A and G are written.
+    decay_rate : float
+        Rough 1/tau [1/s] (second-order terms only).
+    resonance_shift_rad_s : float or ndarray, shape (n,)
+        How far the resonance is known to have moved (temperature).
+    plain, derived : mapping of str to callable
+        Further signals, shape (n, k, 2) from (V, u): projected as they are, or through L.
+    drive_scale : ndarray, shape (n,), or None
+        Factor of the drive at each row (drives at twice the frequency act in proportion to the motion).
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        omega0_rad_s: float,
+        decay_rate: float,
+        resonance_shift_rad_s: FloatArray | float = 0.0,
+        *,
+        plain: dict[str, Signal] | None = None,
+        derived: dict[str, Signal] | None = None,
+        drive_scale: FloatArray | None = None,
+    ) -> None:
+        rate_hz = recording.sample_rate_hz
+        self._width = max(1, round(rate_hz / _THIN_HZ))
+        self._row_s = self._width / rate_hz
+        self._omega0, self._decay = omega0_rad_s, decay_rate
+        omega = recording.ref_omega_rad_s
+        stretch, slow = omega / omega0_rad_s, (omega - omega0_rad_s) / (2.0 * omega0_rad_s)
+        detuning = (omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s) - resonance_shift_rad_s
+        self._gain = (stretch + slow)[:, None]
+        self._shift = (1j * detuning + 2.0 * decay_rate * slow)[:, None]
+        half_hold = 0.5 * float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
+        V, u = recording.pick, recording.drive
+        acting = u * hold_factor(recording, omega, omega0_rad_s)[:, None]
+        if drive_scale is not None:
+            acting = acting * drive_scale[:, None]
+        rate, slope = applied_rate(recording)
+        excitation = recording.command.excitation
+        body = complex(excitation.volts) if excitation.kind == "body" else 0j
+        time = np.linspace(-1.0, 1.0, len(recording))[:, None]
+        self._t = _thin(recording.t, self._width)
+        self._parts: list[dict[str, list[ComplexArray]]] = []
+        directions, speed = _directions(recording)
+        #: how fast the azimuth moves, leaving out its few fastest rows [rad/s]
+        self.speed_rad_s = float(np.quantile(np.abs(speed), 0.98))
+        for d in directions:
+            part = {
+                "lhs": self._derived(d, V[:, None, :]),
+                "drive_rate": self._derived_by_axis(d, u),
+                "pick": self._by_axis(d.m, V),
+                "drive": [*self._by_axis(d.m + half_hold * d.m1, acting), *self._by_axis(half_hold * d.m, acting)],
+                "rate_pick": self._by_axis(d.m, rate[:, None] * V),
+                "rate_drive": self._by_axis(d.m, rate[:, None] * u),
+                "jerk": self._by_axis(d.m, slope[:, None] * V),
+                "body": [_thin(d.m * body, self._width)],
+                "resonance": [_thin(np.stack([np.sum(d.m * X, axis=1) for X in (V, time * V)], axis=1), self._width)],
+            }
+            part |= {name: [_thin(np.sum(d.m[:, None, :] * f(V, u), axis=2), self._width)] for name, f in (plain or {}).items()}
+            part |= {name: self._derived(d, f(V, u)) for name, f in (derived or {}).items()}
+            self._parts.append(part)
+        self._names = (*(plain or {}), *(derived or {}))
+
+    def project(self, frequencies_hz: Sequence[float]) -> WaveProjected:
+        """The equations on these lines (0: the mean)."""
+        f = test_functions(self._t, self._row_s, list(frequencies_hz))
+        weights = (f.value, f.first, f.second)
+
+        def on_lines(name: str) -> ComplexArray:
+            # the k-th entry of a signal goes with the k-th derivative of the test functions
+            rows = []
+            for part in self._parts:
+                flat = [s.reshape(s.shape[0], -1) for s in part[name]]
+                total = sum(w @ s.real + 1j * (w @ s.imag) for w, s in zip(weights, flat, strict=False))
+                rows.append(self._row_s * np.asarray(total).reshape(-1, *part[name][0].shape[1:]))
+            return np.concatenate(rows)
+
+        gram = self._row_s * (f.value @ f.value.T)
+        return WaveProjected(
+            frequency_hz=np.tile(f.frequency_hz, 2),
+            lhs=on_lines("lhs")[:, 0],
+            pick=on_lines("pick"),
+            drive=on_lines("drive"),
+            drive_rate=on_lines("drive_rate"),
+            rate_pick=on_lines("rate_pick"),
+            rate_drive=on_lines("rate_drive"),
+            jerk=on_lines("jerk"),
+            body=on_lines("body"),
+            resonance=on_lines("resonance"),
+            terms={name: on_lines(name) for name in self._names},
+            gram=np.kron(np.eye(2), gram),
+        )
+
+    def _orders(self, d: _Direction, x: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """What goes with phi, phi' and phi'' in the projection of L[x] on phi m; elementwise, x of shape (n, ..., 2)."""
+        pad = (slice(None), *([None] * (x.ndim - 2)), slice(None))
+        y, y1, y2 = d.m[pad] * x, d.m1[pad] * x, d.m2[pad] * x
+        gain, shift = self._gain[pad], self._shift[pad]
+        twice = 2j * self._omega0
+        return (
+            -gain * y1 + shift * y + (y2 - 2.0 * self._decay * y1) / twice,
+            -gain * y + 2.0 * (y1 - self._decay * y) / twice,
+            y / twice,
+        )
+
+    def _derived(self, d: _Direction, x: ComplexArray) -> list[ComplexArray]:
+        """L of signals of shape (n, k, 2), both axes summed: three of shape (n', k)."""
+        return [_thin(part.sum(axis=-1), self._width) for part in self._orders(d, x)]
+
+    def _derived_by_axis(self, d: _Direction, x: ComplexArray) -> list[ComplexArray]:
+        """L of x_b on axis a: three of shape (n', a, b)."""
+        columns = [self._orders(d, np.repeat(x[:, b : b + 1], 2, axis=1)) for b in range(2)]
+        return [_thin(np.stack([c[k] for c in columns], axis=2), self._width) for k in range(3)]
+
+    def _by_axis(self, m: FloatArray, x: ComplexArray) -> list[ComplexArray]:
+        """m_a x_b, shape (n', a, b)."""
+        return [_thin(m[:, :, None] * x[:, None, :], self._width)]
+
+
+def in_wave_frame(recording: Recording) -> bool:
+    """Whether the recording holds a wave to follow: with loops off there is none, and its frame is the axes'."""
+    return recording.command.mode != "loops_off"
+
+
+def _directions(recording: Recording) -> tuple[tuple[_Direction, _Direction], FloatArray]:
+    """Frame of a recording, along and across the wave, or x and y with loops off; and the speed of its azimuth [rad/s]."""
+    if in_wave_frame(recording):
+        rows = round(_SMOOTH_S * recording.sample_rate_hz)
+        psi = smooth_azimuth(wave_coordinates(recording).azimuth_rad, rows)
+    else:
+        psi = np.zeros(len(recording))
+    row_s = 1.0 / recording.sample_rate_hz
+    speed = np.gradient(psi, row_s)[:, None]
+    turn = np.gradient(speed[:, 0], row_s)[:, None]
+    along = np.column_stack([np.cos(psi), np.sin(psi)])
+    across = np.column_stack([-np.sin(psi), np.cos(psi)])
+    along_wave = _Direction(along, speed * across, turn * across - speed**2 * along)
+    across_wave = _Direction(across, -speed * along, -turn * along - speed**2 * across)
+    return (along_wave, across_wave), speed[:, 0]
