@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-__all__ = ["COMPILED", "kernel", "say_if_uncompiled"]
+__all__ = ["COMPILED", "inlined_kernel", "kernel", "say_if_uncompiled"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -42,6 +42,14 @@ def kernel(function: F) -> F:
     finally:
         numba.config.CACHE_DIR = before
     return compiled
+
+
+def inlined_kernel(function: F) -> F:
+    """As :func:`kernel`, for what is called at every step: it becomes part of the kernels that call it."""
+    if not COMPILED:
+        return function
+    inlined: F = numba.njit(inline="always", error_model="numpy")(function)
+    return inlined
 
 
 def _cache_folder(function: Callable[..., Any]) -> Path:

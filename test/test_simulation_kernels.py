@@ -6,7 +6,6 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +21,11 @@ from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.command import Command, Excitation
 from gyro_calib.recording.rate import raw_rate
 from gyro_calib.simulation import GyroSimulator
-from gyro_calib.simulation.normals import NormalSource
+from gyro_calib.simulation.normals import LANES, NormalSource, random_words
 
 FIDELITIES = ("carrier", "slow_flow")
+#: minutes of device time: as plain Python they would take an hour
+compiled_only = pytest.mark.skipif(not COMPILED, reason="numba is not installed or switched off")
 CHANNELS = slice(2, 10)
 X_PICK = slice(2, 4)
 
@@ -49,6 +50,7 @@ def perfect(device: Device) -> Device:
 # ---------------------------------------------------------------- carrier against slow flow
 
 
+@compiled_only
 @pytest.mark.parametrize("mode", ["ftr_x", "ftr_y"])
 def test_both_simulators_settle_at_one_operating_point(unit: Device, mode: str) -> None:
     means = []
@@ -63,6 +65,7 @@ def test_both_simulators_settle_at_one_operating_point(unit: Device, mode: str) 
     assert slow[10] == pytest.approx(carrier[10], abs=2e-6)
 
 
+@compiled_only
 def test_both_simulators_answer_a_step_of_rate_alike(unit: Device) -> None:
     answers = []
     for fidelity in FIDELITIES:
@@ -77,6 +80,7 @@ def test_both_simulators_answer_a_step_of_rate_alike(unit: Device) -> None:
     np.testing.assert_allclose(slow, carrier, rtol=0.0, atol=2e-4)
 
 
+@compiled_only
 def test_both_simulators_answer_side_bands_alike(unit: Device) -> None:
     answers = []
     for fidelity in FIDELITIES:
@@ -87,10 +91,11 @@ def test_both_simulators_answer_side_bands_alike(unit: Device) -> None:
     carrier, slow = answers
     modulation = np.ptp(carrier[:, column_index("x_pick_c")])
     assert modulation == pytest.approx(0.3, rel=0.1)
-    # first-order averaging: what it leaves out is the rate of change of the envelope over the carrier, some 1e-5
-    np.testing.assert_allclose(slow[:, CHANNELS], carrier[:, CHANNELS], rtol=0.0, atol=2e-4 * modulation)
+    # first-order averaging leaves out the rate of change of the envelope over the carrier frequency, some 1e-5
+    np.testing.assert_allclose(slow[:, CHANNELS], carrier[:, CHANNELS], rtol=0.0, atol=2e-5)
 
 
+@compiled_only
 def test_open_drive_off_resonance_agrees_to_the_first_order_of_averaging(unit: Device) -> None:
     detuning_hz = 40.0
     frequency = unit.resonator.frequency_hz + detuning_hz
@@ -103,13 +108,14 @@ def test_open_drive_off_resonance_agrees_to_the_first_order_of_averaging(unit: D
         answers.append(complex(rows[4], rows[5]))
     carrier, slow = answers
     assert abs(carrier) > 0.01
-    # 1 / (w0^2 - w^2) against 1 / 2 w (w0 - w): they part by half the relative detuning
-    assert slow / carrier == pytest.approx(1.0 + 0.5 * detuning_hz / frequency, abs=1e-5)
+    # 1 / (w0^2 - w^2) against 1 / 2 w (w0 - w): they part by half the relative detuning, the hold's sinc by 3e-5
+    assert slow / carrier == pytest.approx(1.0 + 0.5 * detuning_hz / frequency, abs=1e-4)
 
 
 # ---------------------------------------------------------------- closed forms
 
 
+@compiled_only
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_ring_down_follows_the_matrix_exponential(unit: Device, fidelity: str) -> None:
     """Free decay of both modes, coupled by everything, against exp(A t) about the drive frequency."""
@@ -124,10 +130,10 @@ def test_ring_down_follows_the_matrix_exponential(unit: Device, fidelity: str) -
     detuning = 2.0 * math.pi * frequency - flow.omega0_rad_s
     time = rows[-1, 0] - rows[0, 0]
     expected = expm((flow.A - 1j * detuning * np.eye(2)) * time) @ envelope[0]
-    # A is the first order of averaging: its phase is good to some detuning^2 / 2 omega, here 2e-3 rad/s
-    np.testing.assert_allclose(envelope[-1], expected, rtol=0.0, atol=3e-3 * time)
+    np.testing.assert_allclose(envelope[-1], expected, rtol=0.0, atol=1e-5)
 
 
+@compiled_only
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_ring_down_rate_of_a_perfect_ring_is_omega_over_2q(unit: Device, fidelity: str) -> None:
     simulator = quiet(perfect(unit), fidelity)
@@ -139,6 +145,7 @@ def test_ring_down_rate_of_a_perfect_ring_is_omega_over_2q(unit: Device, fidelit
     assert rate == pytest.approx(unit.resonator.decay_rate(), rel=1e-7)
 
 
+@compiled_only
 def test_carrier_has_no_numerical_damping(unit: Device) -> None:
     """Q = 1e12: a second of the nonlinear, undriven resonator keeps its energy to 1e-7, of which the damping takes 9.4e-8."""
     device = replace(unit, resonator=replace(unit.resonator, quality_factor=1e12, damping_anisotropy=0.0))
@@ -175,6 +182,7 @@ def test_carrier_has_no_numerical_damping(unit: Device) -> None:
     assert lost == pytest.approx(w / 1e12, abs=2e-11)
 
 
+@compiled_only
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_scale_factor_of_a_perfect_ring_is_theory_eq_7(unit: Device, fidelity: str) -> None:
     device = perfect(unit)
@@ -185,10 +193,11 @@ def test_scale_factor_of_a_perfect_ring_is_theory_eq_7(unit: Device, fidelity: s
         volts.append(simulator.advance(0.2, rate)[:, column_index("y_drive_s")].mean())
     gain = abs(device.slow_flow().G[1, 1])
     amplitude = simulator.command.setpoints.amplitude_v
-    assert (volts[1] - volts[0]) / 0.2 == pytest.approx(device.resonator.angular_gain * amplitude / gain, rel=1e-6)
-    assert volts[1] + volts[0] == pytest.approx(0.0, abs=1e-7)
+    assert (volts[1] - volts[0]) / 0.2 == pytest.approx(device.resonator.angular_gain * amplitude / gain, rel=1e-9)
+    assert volts[1] + volts[0] == pytest.approx(0.0, abs=1e-12)
 
 
+@compiled_only
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 @pytest.mark.parametrize("mode", ["ftr_x", "ftr_y"])
 def test_bias_and_scale_factor_are_what_truth_says(unit: Device, fidelity: str, mode: str) -> None:
@@ -201,16 +210,17 @@ def test_bias_and_scale_factor_are_what_truth_says(unit: Device, fidelity: str, 
         measured.append(raw_rate(simulator.advance(0.2, rate), simulator.command, simulator.factory).mean())
     truth = simulator.truth()
     assert abs(truth.bias_rad_s) > 1e-4
-    assert measured[0] == pytest.approx(truth.bias_rad_s, abs=1e-6)
-    assert (measured[1] - measured[0]) / 0.05 == pytest.approx(truth.scale_factor, rel=5e-5)
+    assert measured[0] == pytest.approx(truth.bias_rad_s, abs=3e-8)  # 0.006 deg/h
+    assert (measured[1] - measured[0]) / 0.05 == pytest.approx(truth.scale_factor, rel=2e-6)
 
 
 # ---------------------------------------------------------------- noise
 
 
+@compiled_only
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 def test_angle_random_walk_is_the_thermomechanical_floor(unit: Device, fidelity: str) -> None:
-    """Brownian force alone: means of the rate over T scatter by ARW / sqrt(T), to the 4 % that 300 of them tell (three sd)."""
+    """Brownian force alone: means of the rate over T scatter by ARW / sqrt(T), as nearly as 600 of them tell."""
     device = perfect(unit)
     device = replace(
         device,
@@ -219,15 +229,16 @@ def test_angle_random_walk_is_the_thermomechanical_floor(unit: Device, fidelity:
     )
     simulator = GyroSimulator(device, rng=np.random.default_rng(5), fidelity=fidelity)
     simulator.advance(0.5)
-    # far longer than the loop's 2 ms, so that its shape does not count
-    length_s, count = 0.1, 300
+    # a hundred times the 2 ms of the loop, so that its shape does not count
+    length_s, count = 0.2, 600
     rate = raw_rate(simulator.advance(length_s * count), simulator.command, simulator.factory) / simulator.truth().scale_factor
     scatter = rate.reshape(count, -1).mean(axis=1).std(ddof=1) * math.sqrt(length_s)
     amplitude_m = simulator.command.setpoints.amplitude_v / device.pickoff.gain_v_per_m
     expected = device.resonator.thermomechanical_arw(amplitude_m, device.environment.temperature_degc)
-    assert scatter == pytest.approx(expected, rel=3.0 / math.sqrt(2.0 * count))
+    assert scatter == pytest.approx(expected, rel=4.0 / math.sqrt(2.0 * count))
 
 
+@compiled_only
 def test_both_simulators_have_the_same_noise_in_every_closed_channel(unit: Device) -> None:
     """Scatter row by row, inside and beyond the loops' bandwidths; thermomechanical, drive and pick-off noise together."""
     device = replace(unit, environment=replace(unit.environment, wander_k=0.0))
@@ -254,6 +265,15 @@ def test_normals_are_normal() -> None:
     # neighbours and values a block apart have nothing to do with each other
     for lag in (1, 2, 4, 8, 256, 8192):
         assert abs(np.mean(x[:-lag] * x[lag:])) < 4.5 / math.sqrt(x.size)
+
+
+@compiled_only
+def test_words_are_those_of_numpys_generators() -> None:
+    lanes = [np.random.SFC64(seed) for seed in range(LANES)]
+    state = np.array([lane.state["state"]["state"] for lane in lanes], dtype=np.uint64).T.copy()
+    words = np.empty(100 * LANES, dtype=np.uint64)
+    random_words(state, words)
+    np.testing.assert_array_equal(words.reshape(100, LANES).T, [lane.random_raw(100) for lane in lanes])
 
 
 def test_normals_do_not_depend_on_how_they_are_asked_for() -> None:
@@ -297,7 +317,7 @@ np.savez(sys.argv[1], **rows)
 """
 
 
-@pytest.mark.skipif(not COMPILED, reason="numba is not installed or switched off: there is nothing to compare with")
+@compiled_only
 def test_compiled_kernels_do_what_their_source_says(tmp_path: Path) -> None:
     """The same short noisy run in a process without compilation gives the same rows, to rounding."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
@@ -312,6 +332,7 @@ def test_compiled_kernels_do_what_their_source_says(tmp_path: Path) -> None:
         np.testing.assert_allclose(plain[fidelity], compiled, rtol=1e-13, atol=1e-14)
 
 
+@compiled_only
 def test_cache_of_a_kernel_follows_every_module_whose_constants_or_kernels_it_holds() -> None:
     found: dict[str, bytes] = {}
     _collect_sources("gyro_calib.simulation.slow_flow", found)

@@ -4,8 +4,10 @@ from .alignment import SenseAxes
 from .apply import CorrectedRate, Corrector, validity_problems
 from .document import dump_record, parse_record
 from .errormodel import COVARIANCE_MODES, CovarianceModel, RateErrorModel
+from .factory_record import FactoryRecord, FactoryStore, factory_record_from_result, with_factory_record
 from .from_result import record_from_result
 from .location import default_path, resolve_url, ros_home
+from .mission import Drifts, MissionRate, mission_rate
 from .record import NOISE_DENSITY_UNIT, SCHEMA_VERSION, CalibrationRecord
 from .store import LoadedRecord, RecordMissingError, RecordStore, read_record
 
@@ -17,17 +19,24 @@ __all__ = [
     "CorrectedRate",
     "Corrector",
     "CovarianceModel",
+    "Drifts",
+    "FactoryRecord",
+    "FactoryStore",
     "LoadedRecord",
+    "MissionRate",
     "RateErrorModel",
     "RecordMissingError",
     "RecordStore",
     "SenseAxes",
     "default_path",
     "dump_record",
+    "factory_record_from_result",
+    "mission_rate",
     "parse_record",
     "read_record",
     "record_from_result",
     "resolve_url",
     "ros_home",
     "validity_problems",
+    "with_factory_record",
 ]

@@ -18,6 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="HDF5 files, ROS 2 bags or folders, of one device")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result; - for stdout")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a report page")
+    parser.add_argument(
+        "--factory-record",
+        metavar="URL",
+        default="",
+        help="factory record (see gyro-calib factory) whose kappa and rate correction count; none: leave it; else $ROS_HOME/gyro_calib if there",
+    )
     parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
     parser.add_argument("--device-id", metavar="ID", help="identity of the unit, for a bag that lacks it")
 
@@ -33,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_matplotlib()
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
+    campaign = _with_factory(campaign, arguments.factory_record)
     with progress_bar("estimating") as report:
         result = calibrate(campaign, on_progress=lambda fraction: report(fraction, ""), with_convergence=arguments.html is not None)
     if arguments.json is None or str(arguments.json) != "-":
@@ -43,6 +50,20 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         _write_page(arguments, campaign, result)
     return 0
+
+
+def _with_factory(campaign: Campaign, url: str) -> Campaign:
+    """What the factory's rate table found, where it was stored."""
+    from ..calibration.factory_record import FactoryStore, with_factory_record
+    from ..errors import StoreError
+
+    if url == "none":
+        return campaign
+    store = FactoryStore(url, campaign.device_id)
+    record = store.load()
+    if record is None and url:
+        raise StoreError(f"Factory record {store.path} must exist, but does not. Correct --factory-record, or leave it out.")
+    return with_factory_record(campaign, record)
 
 
 def _write_page(arguments: argparse.Namespace, campaign: Campaign, result: CalibrationResult) -> None:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from ..errors import GyroCalibError
-from . import allan, calibrate, call, demo, simulate, study, up
+from . import allan, calibrate, call, demo, factory, simulate, study, up
 
 __all__ = ["build_parser", "main"]
 
@@ -22,6 +22,7 @@ _COMMANDS = {
     "call": call,
     "simulate": simulate,
     "calibrate": calibrate,
+    "factory": factory,
     "allan": allan,
     "study": study,
 }

@@ -142,11 +142,11 @@ class Device:
     def loop_latency_s(self) -> float:
         """Time from the centre of what a control step has measured to the centre of the drive that answers it [s].
 
-        Multiplexed: mean over the azimuth. The drive of an axis answers the reading of its own axis after one slot and that of the other
-        after three, and the wave's azimuth lags by ``1 + sin^2(2 psi)`` slots.
+        Multiplexed: mean over the azimuth. The x drive answers x after five slots and y after three, the y drive x after three and y after
+        one; the direction of the drive across the wave lags by ``1 + 4 sin^4 psi + sin^2(2 psi) / 2`` slots.
         """
         n = self.electronics.samples_per_control
-        samples = (0.375 * SLOTS * n + 0.5) if self.multiplexing.enabled else 2.0 * n - 0.5
+        samples = (0.75 * SLOTS * n + 0.5) if self.multiplexing.enabled else 2.0 * n - 0.5
         return samples / self.electronics.adc_rate_hz
 
     def drive_factor(self, pick_v: ComplexArray) -> float:

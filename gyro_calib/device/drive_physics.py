@@ -1,13 +1,14 @@
 """The drive chain of a hemispherical resonator from first principles (document 004, Eqs. 6-21).
 
-A flat electrode faces the lip of the shell. Tilt of the assembly makes its gap uneven, eccentricity turns the electrodes against the modes, the
-resistance of the metal film lowers the bias where leakage flows, and the circuits differ in gain and leak into each other. Together they are
-the matrix of :class:`~gyro_calib.device.DriveChain`: ``G [[1, tan 2delta - tan 2lambda], [tan 2delta + tan 2lambda, 1 + Delta G]]``.
+A flat electrode faces the lip of the shell. Tilt of the assembly makes its gap uneven, eccentricity turns the electrodes against the modes,
+the resistance of the metal film lowers the bias where leakage flows, and the circuits differ in gain and leak into each other. Together
+they are the matrix of :class:`~gyro_calib.device.DriveChain`: ``G [[1, tan 2delta - tan 2lambda], [tan 2delta + tan 2lambda, 1 + Delta G]]``.
 
 The document evaluates the gap at the middle of an electrode and drops products of small quantities (:func:`first_order_unbalance`); the
-matrix of :func:`drive_matrix` integrates over the electrode and drops nothing but the feedback of the motion on the force. The difference is
-not of second order: across an electrode of finite span a tilt also moves the centre of the force, which turns the drive by
-``span^2 sigma R sin(beta - beta_sigma) / (6 d)`` in 2 lambda of that channel, and the force is smaller by ``sin(span) / span``.
+matrix of :func:`drive_matrix` integrates over the electrode and drops nothing but the feedback of the motion on the force. They differ to
+first order too: across an electrode of finite span the force is smaller by ``sin(span) / span``, and a tilt moves its centre, which turns
+the drive of each channel by ``span^2 sigma R sin(beta - beta_sigma) / (6 d)``: 2 lambda gains the mean of the two, 2 delta half their
+difference.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 #: 1 / (4 pi k) with the Coulomb constant k of document 004 [F/m]
 VACUUM_PERMITTIVITY = 8.8541878e-12
-#: centres of the electrodes of channel X and of channel Y [rad]: there a smaller gap is a positive force (document 004 uses 90 and 135 degrees)
+#: centres of the electrodes of channels X and Y [rad], 90 and 135 degrees as in document 004: there attraction is a positive force
 X_AZIMUTH_RAD, Y_AZIMUTH_RAD = 0.5 * math.pi, 0.75 * math.pi
 _NODES = 24
 
@@ -200,7 +201,9 @@ def first_order_unbalance(geometry: ElectrodeGeometry, assembly: Assembly, circu
     """
     g, bias = geometry, circuit.bias_at_lip_v
     turns = [assembly.electrode_azimuth(at, g.radius_m) - at for at in (X_AZIMUTH_RAD, Y_AZIMUTH_RAD)]
-    tilts = [assembly.inclination_rad * g.radius_m * math.cos(at - assembly.inclination_azimuth_rad) for at in (X_AZIMUTH_RAD, Y_AZIMUTH_RAD)]
+    tilts = [
+        assembly.inclination_rad * g.radius_m * math.cos(at - assembly.inclination_azimuth_rad) for at in (X_AZIMUTH_RAD, Y_AZIMUTH_RAD)
+    ]
     forces = [VACUUM_PERMITTIVITY * g.area_m2 / (g.gap_m + tilt) ** 2 for tilt in tilts]
     gain = circuit.gain * forces[0] * bias[0] * math.cos(2.0 * turns[0]) / modal_mass_kg
     delta_g = (forces[1] / forces[0] - 1.0) + (bias[1] / bias[0] - 1.0) + circuit.gain_error

@@ -60,14 +60,16 @@ class Multiplexing:
     """Single-channel electronics: one read and one drive chain, switched in time between the axes (document 004 section 2.2).
 
     A frame of four slots, one control period each: read x, drive x, read y, drive y. Between its readings a pick-off is held; a drive is on
-    in its slot only, with the volts that give the commanded mean. Nothing is driven while anything is read, so there is no feedthrough.
+    in its slot only, with the volts that give the commanded mean. The loops run once in a frame, after y was read. Nothing is driven while
+    anything is read, so there is no feedthrough.
 
     Parameters
     ----------
     enabled : bool
         False: dual-channel electronics, everything at once.
     settling_share : float
-        Share of each slot, at its start, in which the switched chain settles and is not used.
+        Share of each slot, at its start, in which the switched chain settles and is not used. The rest had better span whole half cycles
+        of the carrier, or the drive turns in phase by up to the inverse of its angle.
     delay_s : float
         Delay of the read chain that the demodulator does not know: both pick-offs lag by omega times this.
     crosstalk : float
@@ -75,7 +77,7 @@ class Multiplexing:
     """
 
     enabled: bool = False
-    settling_share: float = 0.25
+    settling_share: float = 0.2
     delay_s: float = 0.0
     crosstalk: float = 0.0
 
@@ -128,8 +130,8 @@ class Noise:
     thermomechanical : bool
         Include the Brownian force.
     drive_flicker_v : float
-        Flicker of what reaches the electrodes besides the command (pick-up of the reference, slow phase and gain errors): floor of the Allan
-        deviation of each quadrature of each channel [V]. Not in the drive columns. Sets the bias instability.
+        Flicker of what reaches the electrodes besides the command (pick-up of the reference, slow phase and gain errors): floor of the
+        Allan deviation of each quadrature of each channel [V]. Not in the drive columns. Sets the bias instability.
     """
 
     pickoff_v_rthz: float = 0.0

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -127,7 +127,9 @@ def calibrate_factory(
         warnings.append("left out: " + "; ".join(skipped))
     difference = None
     if known_rate is not None:
-        found = calibrate_sideband(campaign, with_convergence=False).rate
+        # with the kappa found here: what remains is not kappa's
+        own = replace(campaign, factory={**campaign.factory, "angular_gain_kappa": kappa.value})
+        found = calibrate_sideband(own, with_convergence=False).rate
         difference = Quantity(found.value - known_rate.value, math.hypot(found.sd, known_rate.sd), "rad/s")
     sd = np.sqrt(np.diag(covariance))[-3:]
     if on_progress is not None:

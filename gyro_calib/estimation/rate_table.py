@@ -115,6 +115,26 @@ def _quality(fits: list[LinearFit]) -> tuple[float, int]:
 
 
 @dataclass(frozen=True)
+class _Turned:
+    """Pick-offs and drives of a table run times its rate, and times the change of its rate, projected; shape (m, 2) each."""
+
+    rate_pick: ComplexArray
+    rate_drive: ComplexArray
+    slope_pick: ComplexArray
+    slope_drive: ComplexArray
+
+    @classmethod
+    def of(cls, recording: Recording, lines: list[float]) -> _Turned | None:
+        if "applied_rate" not in recording.extras:
+            return None
+        row_s = 1.0 / recording.sample_rate_hz
+        phi = test_functions(recording.t, row_s, lines).value
+        rate, slope = applied_rate(recording)
+        parts = [row_s * (phi @ (course[:, None] * signal)) for course in (rate, slope) for signal in (recording.pick, recording.drive)]
+        return cls(*parts)
+
+
+@dataclass(frozen=True)
 class _Data:
     """Projected recordings at their own lines and at quiet ones."""
 
@@ -126,6 +146,8 @@ class _Data:
     bodies: list[float]
     signal: list[Projected]
     quiet: list[Projected]
+    turned: list[_Turned | None]
+    quiet_turned: list[_Turned | None]
 
     @classmethod
     def of(cls, recordings: list[Recording], decay_rate: float) -> _Data:
@@ -143,12 +165,16 @@ class _Data:
             bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
             signal=[project(r, _lines(r), omega0, decay_rate) for r in recordings],
             quiet=[project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings],
+            turned=[_Turned.of(r, _lines(r)) for r in recordings],
+            quiet_turned=[_Turned.of(r, _quiet_lines(r)) for r in recordings],
         )
 
     def fit(self, E: ComplexArray, *, cubic: bool) -> list[LinearFit]:
         """Both axes; ``E`` corrects what the rate acts on."""
-        columns = [self._columns(p, r, _lines(r), E, cubic=cubic) for p, r in zip(self.signal, self.recordings, strict=True)]
-        noise = [self._columns(p, r, _quiet_lines(r), E, cubic=cubic) for p, r in zip(self.quiet, self.recordings, strict=True)]
+        columns, noise = (
+            [self._columns(p, t, r, E, cubic=cubic) for p, t, r in zip(projected, turned, self.recordings, strict=True)]
+            for projected, turned in ((self.signal, self.turned), (self.quiet, self.quiet_turned))
+        )
         return [self._fit(columns, noise, axis) for axis in range(2)]
 
     def _fit(self, columns: list[ComplexArray], noise: list[ComplexArray], axis: int) -> LinearFit:
@@ -166,20 +192,18 @@ class _Data:
                 models = _measured(self.recordings, self.quiet, noise, roles, axis, fit.coefficients)
         return fit
 
-    def _columns(self, p: Projected, recording: Recording, lines: list[float], E: ComplexArray, *, cubic: bool) -> ComplexArray:
+    def _columns(self, p: Projected, turned: _Turned | None, recording: Recording, E: ComplexArray, *, cubic: bool) -> ComplexArray:
         """V, u, L[u] when E is sought, body volts, cubic terms, Omega' p, A of further axes, Omega p of each axis."""
-        row_s = 1.0 / recording.sample_rate_hz
         parts = [p.pick, p.drive, *([p.drive_rate] if self.has_feedthrough else [])]
         parts += [(p.body * (recording.command.excitation.frequency_hz == f))[:, None] for f in self.bodies]
         parts += [p.cubic] if cubic else []
-        phi = test_functions(recording.t, row_s, lines).value
-        rate, slope = applied_rate(recording)
-        moved = recording.pick - recording.drive @ E.T
-        parts.append(row_s * (phi @ (slope[:, None] * moved)))
-        turned = "applied_rate" in recording.extras
-        own = [turned and bool(np.allclose(table_axis(recording), axis, atol=1e-9)) for axis in self.axes]
-        parts += [p.pick * here for here in own[1:]]
-        parts += [row_s * (phi @ (rate[:, None] * moved)) * here for here in own]
+        count, zero = len(self.axes), np.zeros_like(p.pick)
+        if turned is None:
+            return np.hstack([*parts, *[zero] * (2 * count)])
+        own = [bool(np.allclose(table_axis(recording), axis, atol=1e-9)) for axis in self.axes]
+        parts.append(turned.slope_pick - turned.slope_drive @ E.T)
+        parts += [p.pick if here else zero for here in own[1:]]
+        parts += [turned.rate_pick - turned.rate_drive @ E.T if here else zero for here in own]
         return np.hstack(parts)
 
     def result(self, fits: list[LinearFit], E: ComplexArray, cubic: bool) -> RateTableFit:

@@ -64,12 +64,15 @@ class PickoffFrame:
         eps, y against x.
     prior_share : tuple of 3 float
         Share of each one's information that is prior (1: the data say nothing).
+    rotation_rad : float
+        rho, of the pick-offs against the direction of the body excitation; its prior's mean where there was none.
     """
 
     ratio: float
     skew: float
     phase_rad: float
     prior_share: tuple[float, float, float]
+    rotation_rad: float = 0.0
 
     @property
     def metric(self) -> FloatArray:
@@ -103,6 +106,7 @@ def solve_pickoff_frame(
     drive_ratio_x_over_y: float | None,
     priors: Priors,
     nuisance: FloatArray,
+    rate_response: ComplexArray | None = None,
 ) -> PickoffFrame:
     """Combine the sources for (r, h, eps) at one value of the parameter vector.
 
@@ -120,6 +124,8 @@ def solve_pickoff_frame(
         Widths of what the data may not tell.
     nuisance : ndarray, shape (5,)
         Means of the priors of n, rho, r, eps and of the drive-gain ratio, in their standard deviations (zero; moved to propagate them).
+    rate_response : ndarray, shape (2, 2), complex, optional
+        Measured dA/dOmega, where the gyro was turned: its form (not its size, which is kappa's) gives r, h and eps.
     """
     values = estimate.unpack(vector)
     A, G, body = values.A, values.G, values.body
@@ -147,6 +153,10 @@ def solve_pickoff_frame(
             # B is proportional to P^-1 G: its diagonal, couplings and non-orthogonality taken out
             drive = np.linalg.solve(np.array([[1.0, n - rho], [n + rho, r]]), G * np.array([[1.0], [np.exp(-1j * eps)]]))
             rows.append((abs(drive[1, 1] / drive[0, 0]) * shifted - 1.0) / deviations.gain_ratio)
+        if rate_response is not None and deviations.rate_response is not None:
+            size = np.sqrt(np.linalg.det(rate_response))
+            left = (rate_response / (size if size.real > 0.0 else -size) - angular_response(frame, 1.0)).ravel()
+            rows += [*(left.real / deviations.rate_response[:, 0]), *(left.imag / deviations.rate_response[:, 1])]
         return np.array(rows)
 
     solution = least_squares(residual, start, x_scale=[1e-2, 1e-3, 1e-3, 1e-3], xtol=1e-15, ftol=1e-15, gtol=1e-15, method="lm")
@@ -154,8 +164,8 @@ def solve_pickoff_frame(
     spread = np.sqrt(np.diag(np.linalg.inv(information)))
     widths = np.array([priors.mismatch, 2.0 * priors.non_orthogonality_rad, priors.phase_rad])
     share = np.minimum(1.0, (spread[:3] / widths) ** 2)
-    r, h, eps, _ = solution.x
-    return PickoffFrame(float(r), float(h), float(eps), (float(share[0]), float(share[1]), float(share[2])))
+    r, h, eps, rho = solution.x
+    return PickoffFrame(float(r), float(h), float(eps), (float(share[0]), float(share[1]), float(share[2])), float(rho))
 
 
 @dataclass(frozen=True)
@@ -170,11 +180,14 @@ class Deviations:
         Of the body ratio at each body frequency, relative.
     gain_ratio : float
         Of |G_yy/G_xx| times the factory ratio, relative, its constancy included.
+    rate_response : ndarray, shape (4, 2), or None
+        Of real and imaginary part of each entry of dA/dOmega over its size.
     """
 
     reciprocity: float
     body: tuple[float, ...]
     gain_ratio: float
+    rate_response: FloatArray | None = None
 
     @classmethod
     def of(cls, estimate: SlowFlowEstimate, priors: Priors) -> Deviations:

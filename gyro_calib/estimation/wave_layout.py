@@ -20,7 +20,8 @@ ComplexArray = NDArray[np.complex128]
 @dataclass(frozen=True)
 class Layout:
     """Complex unknowns, in order: per axis a (A_ax, A_ay, G~_ax, G~_ay, E_ax, E_ay, body …), then as far as they are sought the response to
-    rate (xx, xy, yx, yy), the change of E with frequency over the resonance's (4), the time shift of the table (4), the cubic terms.
+    rate (xx, xy, yx, yy), then the nuisances: the lag of the drive behind its record times -G (4), the change of E with frequency over the
+    resonance's (4), the time shift of the table (4); last the cubic terms.
 
     Parameters
     ----------
@@ -31,6 +32,8 @@ class Layout:
         Frequencies of body excitation [Hz].
     turned : bool
         A rate was applied.
+    lagging : bool
+        Drives changed: a record that is a sample early or late shows (and would pass for feedthrough).
     jerked : bool
         It changed during a recording.
     dispersive : bool
@@ -43,6 +46,7 @@ class Layout:
     has_feedthrough: bool
     bodies: tuple[float, ...] = ()
     turned: bool = False
+    lagging: bool = False
     jerked: bool = False
     dispersive: bool = False
     terms: tuple[Term, ...] = ()
@@ -57,6 +61,7 @@ class Layout:
             has_feedthrough=bool(open_drive),
             bodies=tuple(sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})),
             turned=bool(turned),
+            lagging=any(r.command.mode != "loops_off" for r in recordings) and bool(open_drive),
             jerked=any(_changes(r) for r in turned),
             dispersive=len({round(f, 3) for f in open_drive}) > 1,
         )
@@ -72,9 +77,15 @@ class Layout:
         first = 2 * self.per_axis
         return slice(first, first + 4 * int(self.turned))
 
+    @property
+    def lag(self) -> slice:
+        """Place of the lag of the drive times -G."""
+        first = self.rate_response.stop
+        return slice(first, first + 4 * int(self.lagging))
+
     def term(self, name: str) -> slice:
         """Place of a cubic term."""
-        first = self.rate_response.stop + 4 * int(self.dispersive) + 4 * int(self.jerked)
+        first = self.lag.stop + 4 * int(self.dispersive) + 4 * int(self.jerked)
         for term in self.terms:
             if term.name == name:
                 return slice(first, first + len(term.coefficients))
@@ -86,10 +97,11 @@ class Layout:
         block = coefficients[: 2 * self.per_axis].reshape(2, -1)
         return block[:, :2], block[:, 4:6] if self.has_feedthrough else np.zeros((2, 2), dtype=complex)
 
-    def regressors(self, p: WaveProjected, recording: Recording, A: ComplexArray, E: ComplexArray) -> ComplexArray:
-        """Columns in order, shape (equations, unknowns); A and E of a round before enter the small corrections."""
+    def regressors(self, p: WaveProjected, recording: Recording, before: ComplexArray | None) -> ComplexArray:
+        """Columns in order, shape (equations, unknowns); the unknowns of a round ``before`` enter the small corrections."""
         count = p.lhs.size
         excitation = recording.command.excitation
+        A, E, bend = self._known(before)
         parts: list[ComplexArray] = []
         for a in range(2):
             parts += [p.pick[:, a], p.drive[:, a]]
@@ -97,8 +109,12 @@ class Layout:
                 parts.append(p.drive_rate[:, a])
             parts += [(p.body[:, a] * (excitation.kind == "body" and excitation.frequency_hz == f))[:, None] for f in self.bodies]
         if self.turned:
-            # rate acts on the motion, not on the feedthrough beside it
-            parts.append((p.rate_pick - np.einsum("jac,bc->jab", p.rate_drive, E)).reshape(count, 4))
+            # rate acts on the motion: on V less its feedthrough and what the pick-off adds of its own
+            moved = p.rate_pick - np.einsum("jac,bc->jab", p.rate_drive, E) - bend * p.terms["rate_every_axis"].reshape(count, 2, 2).swapaxes(1, 2)
+            parts.append(moved.reshape(count, 4))
+        if self.lagging:
+            # open drive is steady: nothing there tells its lag
+            parts.append((0.0 if recording.command.mode == "loops_off" else 1.0) * p.drive_slope.reshape(count, 4))
         if self.dispersive:
             away = 0.0
             if excitation.kind == "drive":
@@ -108,6 +124,15 @@ class Layout:
             parts.append(p.jerk.reshape(count, 4))
         parts += [term.columns(p.terms, A) for term in self.terms]
         return np.hstack(parts)
+
+    def _known(self, before: ComplexArray | None) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """A, E and the cubic coefficients of the pick-offs from a round before; zero without one."""
+        bend = np.zeros(2, dtype=complex)
+        if before is None:
+            return np.zeros((2, 2), dtype=complex), np.zeros((2, 2), dtype=complex), bend
+        if any(term.name == "pickoff_cubic" for term in self.terms):
+            bend = before[self.term("pickoff_cubic")]
+        return *self.flow(before), bend
 
 
 def _changes(recording: Recording) -> bool:

@@ -1,4 +1,4 @@
-"""Where in frequency a whole-angle recording says something, where only noise is left, and which recordings share their noise."""
+"""Where in frequency a whole-angle recording says something, and where only noise is left."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ..recording.recording import Recording
 
-__all__ = ["quiet_lines", "role_of", "signal_lines"]
+__all__ = ["quiet_lines", "signal_lines"]
 
 #: harmonics of the modal azimuth that a wave's equations hold: 2 psi from the linear model, 4 psi from cubic terms
 _HARMONICS = 4
@@ -19,18 +19,6 @@ _MOST_LINES = 64
 _QUIET_LINES = 24
 #: least span of the quiet lines [Hz], and their highest line over the row rate
 _QUIET_HZ, _QUIET_TOP = 4.0, 0.1
-
-
-def role_of(recording: Recording) -> str:
-    """Recordings of one role share their noise: it depends on what is driven, and in open drive on the distance from resonance."""
-    mode = recording.command.mode
-    if mode == "loops_off":
-        return f"open {recording.command.excitation.kind} {recording.command.excitation.frequency_hz:.0f} Hz"
-    if "applied_rate" in recording.extras:
-        return "turned"
-    if mode == "whole_angle":
-        return "precession" if recording.command.setpoints.virtual_precession_v != 0.0 else "free"
-    return "ring" if mode.startswith("ring") else mode
 
 
 def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
@@ -47,7 +35,7 @@ def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
     step = 1.0 / recording.duration_s
     excitation = recording.command.excitation
     if recording.command.oscillator_axis and "applied_rate" not in recording.extras:
-        return [0.0, excitation.frequency_hz] if excitation.kind.endswith("modulation") else [0.0]
+        return [0.0, excitation.frequency_hz] if excitation.kind.endswith("modulation") else [step * k for k in range(4)]
     turn = speed_rad_s / (2.0 * math.pi)
     top = _HARMONICS * turn + 3.0 * step
     if recording.command.mode != "whole_angle" or "applied_rate" in recording.extras:
@@ -60,8 +48,8 @@ def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
     return [float(f) for f in lines]
 
 
-def quiet_lines(recording: Recording, highest_signal_hz: float) -> list[float]:
-    """Lines of which only noise is expected once the model is taken away [Hz]."""
+def quiet_lines(recording: Recording, highest_signal_hz: float, speed_rad_s: float) -> list[float]:
+    """Lines of which only noise is expected once the model is taken away [Hz]: above the signal, and between the harmonics of the azimuth."""
     step = 1.0 / recording.duration_s
     first = highest_signal_hz + 1.8 * step
     last = max(min(first + max(_QUIET_HZ, 8.0 * step), _QUIET_TOP * recording.sample_rate_hz), first + 4.0 * step)
@@ -70,6 +58,10 @@ def quiet_lines(recording: Recording, highest_signal_hz: float) -> list[float]:
     for f in lines[1:]:
         if f - spaced[-1] >= 1.3 * step:
             spaced.append(f)
+    # in the wave's own frame the even harmonics of psi are there, the odd ones are not
+    turn = speed_rad_s / (2.0 * math.pi)
+    if recording.command.mode == "whole_angle" and turn > 1.5 * step:
+        spaced = [f for f in turn * (2.0 * np.arange(_HARMONICS) + 1.0) if f < first - 1.3 * step] + spaced
     excitation = recording.command.excitation
     if excitation.kind.endswith("modulation"):
         busy = excitation.frequency_hz * np.arange(1, 8)

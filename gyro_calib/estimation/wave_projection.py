@@ -29,7 +29,7 @@ __all__ = ["CHANNELS", "Products", "WaveProjected", "in_wave_frame"]
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Number = TypeVar("Number", np.float64, np.complex128)
-Signal = Callable[[ComplexArray, ComplexArray], ComplexArray]
+Signal = Callable[[ComplexArray, ComplexArray, FloatArray], ComplexArray]
 #: what the equations are: real and imaginary part along the wave, then across it
 CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
 #: rows per second after thinning, and how much of its time the azimuth is smoothed over [s]
@@ -46,8 +46,8 @@ class WaveProjected:
     frequency_hz : ndarray, shape (2 m,)
     lhs : ndarray, shape (2 m,), complex
         L[V] [V/s].
-    pick, drive, drive_rate : ndarray, shape (2 m, 2, 2), complex
-        Regressors [equation, axis a, column b] of A_ab, G~_ab, E_ab.
+    pick, drive, drive_rate, drive_slope : ndarray, shape (2 m, 2, 2), complex
+        Regressors [equation, axis a, column b] of A_ab, G~_ab, E_ab, and of a drive that acts later than it is recorded (its derivative).
     rate_pick, rate_drive, jerk : ndarray, shape (2 m, 2, 2), complex
         Applied rate times V, times u, and its change times V.
     body : ndarray, shape (2 m, 2), complex
@@ -65,6 +65,7 @@ class WaveProjected:
     pick: ComplexArray
     drive: ComplexArray
     drive_rate: ComplexArray
+    drive_slope: ComplexArray
     rate_pick: ComplexArray
     rate_drive: ComplexArray
     jerk: ComplexArray
@@ -107,7 +108,7 @@ class Products:
     resonance_shift_rad_s : float or ndarray, shape (n,)
         How far the resonance is known to have moved (temperature).
     plain, derived : mapping of str to callable
-        Further signals, shape (n, k, 2) from (V, u): projected as they are, or through L.
+        Further signals, shape (n, k, 2) from (V, u, applied rate): projected as they are, or through L.
     drive_scale : ndarray, shape (n,), or None
         Factor of the drive at each row (drives at twice the frequency act in proportion to the motion).
     """
@@ -152,14 +153,15 @@ class Products:
                 "drive_rate": self._derived_by_axis(d, u),
                 "pick": self._by_axis(d.m, V),
                 "drive": [*self._by_axis(d.m + half_hold * d.m1, acting), *self._by_axis(half_hold * d.m, acting)],
+                "drive_slope": [*self._by_axis(-d.m1, acting), *self._by_axis(-d.m, acting)],
                 "rate_pick": self._by_axis(d.m, rate[:, None] * V),
                 "rate_drive": self._by_axis(d.m, rate[:, None] * u),
                 "jerk": self._by_axis(d.m, slope[:, None] * V),
                 "body": [_thin(d.m * body, self._width)],
                 "resonance": [_thin(np.stack([np.sum(d.m * X, axis=1) for X in (V, time * V)], axis=1), self._width)],
             }
-            part |= {name: [_thin(np.sum(d.m[:, None, :] * f(V, u), axis=2), self._width)] for name, f in (plain or {}).items()}
-            part |= {name: self._derived(d, f(V, u)) for name, f in (derived or {}).items()}
+            part |= {name: [_thin(np.sum(d.m[:, None, :] * f(V, u, rate), axis=2), self._width)] for name, f in (plain or {}).items()}
+            part |= {name: self._derived(d, f(V, u, rate)) for name, f in (derived or {}).items()}
             self._parts.append(part)
         self._names = (*(plain or {}), *(derived or {}))
 
@@ -184,6 +186,7 @@ class Products:
             pick=on_lines("pick"),
             drive=on_lines("drive"),
             drive_rate=on_lines("drive_rate"),
+            drive_slope=on_lines("drive_slope"),
             rate_pick=on_lines("rate_pick"),
             rate_drive=on_lines("rate_drive"),
             jerk=on_lines("jerk"),

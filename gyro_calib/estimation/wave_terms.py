@@ -7,6 +7,8 @@ An amplitude-dependent pick-off, forcer, stiffness or damping passes for gain an
 * ``cubic``: c |V|^2 V of the wave: real part damping, imaginary part stiffness (Duffing), any azimuth [1/(s V^2)];
 * ``cubic_axes``, ``cubic_cross``: c_k |V_k|^2 V_k on axis k, and on the other axis (document 000, Eqs. 22-27) [1/(s V^2)];
 * ``drive_cubic``: c_k |u_k|^2 u_k on axis k [1/(s V^2)].
+
+Signals are functions of (V, u, applied rate).
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TERMS", "Term", "derived_signals", "plain_signals"]
+__all__ = ["TERMS", "Signal", "Term", "derived_signals", "plain_signals"]
 
 ComplexArray = NDArray[np.complex128]
-Signal = Callable[[ComplexArray, ComplexArray], ComplexArray]
+FloatArray = NDArray[np.float64]
+Signal = Callable[[ComplexArray, ComplexArray, FloatArray], ComplexArray]
 
 
 def _cube(x: ComplexArray) -> ComplexArray:
@@ -101,14 +104,15 @@ TERMS: tuple[Term, ...] = (
 def plain_signals() -> dict[str, Signal]:
     """Signals that enter as they are."""
     return {
-        "every_axis": lambda V, u: _on_every_axis(V),
-        "wave_cube": lambda V, u: _of_the_wave(V),
-        "own_axis": lambda V, u: _on_own_axis(V),
-        "other_axis": lambda V, u: _on_other_axis(V),
-        "drive_own_axis": lambda V, u: _on_own_axis(u),
+        "every_axis": lambda V, u, rate: _on_every_axis(V),
+        "rate_every_axis": lambda V, u, rate: rate[:, None, None] * _on_every_axis(V),
+        "wave_cube": lambda V, u, rate: _of_the_wave(V),
+        "own_axis": lambda V, u, rate: _on_own_axis(V),
+        "other_axis": lambda V, u, rate: _on_other_axis(V),
+        "drive_own_axis": lambda V, u, rate: _on_own_axis(u),
     }
 
 
 def derived_signals() -> dict[str, Signal]:
     """Signals that enter through L."""
-    return {"pickoff_cubic_rate": lambda V, u: _on_own_axis(V)}
+    return {"pickoff_cubic_rate": lambda V, u, rate: _on_own_axis(V)}

@@ -4,7 +4,11 @@ While the wave precesses, pick-offs and drives sweep every direction, so one wei
 (:mod:`.wave_projection`) finds all of A and all of G: free runs (damping and stiffness), virtual precession of both senses and several volts
 (G across the wave; exact trigonometry, and the recorded u_amp(theta) and u_quad(theta), are in the drive columns), ring-down and ring-up (G
 along the wave), stiffness steps, force-to-rebalance stretches, open drive off resonance (E). What acted is what stands in the drive columns,
-so the latency of the loops drops out.
+so the latency of the loops drops out; a record that is itself late by a sample of the converters shows as a lag and is taken out.
+
+A constant rate and a forcer rotation 2 lambda are both a constant precession under a steady amplitude drive, and at another amplitude they
+still are: u_amp/a = 1/(g tau) whatever a. What tells them apart is in the same regression: u_amp(theta) under virtual precession (k_va of
+document 004, Eq. 30, has 2 lambda in it, no rate) and ring-down against ring-up (the drive turns its sign, the rate does not).
 
 A rate table, if one was used, adds the response of A to rate. Cubic terms (:mod:`.wave_terms`) are taken up one kind at a time when they
 remove more chi-square than chance does.
@@ -22,24 +26,22 @@ from scipy.special import chdtri
 
 from ..errors import CalibrationRefused
 from ..recording.recording import Campaign, Recording
-from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis, fit_noise
-from .slow_flow_fit import TEMPERATURE_WINDOW_K, SlowFlowEstimate, SlowFlowParameters, TableRow
+from .linear_fit import LinearFit
+from .slow_flow_data import TEMPERATURE_WINDOW_K
+from .slow_flow_estimate import SlowFlowEstimate, SlowFlowParameters, TableRow
+from .wave_data import Excess, Noise, WaveData
 from .wave_layout import Layout
-from .wave_lines import quiet_lines, role_of, signal_lines
-from .wave_projection import CHANNELS, Products, WaveProjected, in_wave_frame
-from .wave_terms import TERMS, Term, derived_signals, plain_signals
+from .wave_projection import in_wave_frame
+from .wave_terms import TERMS, Term
 
 __all__ = ["WholeAngleEstimate", "fit_whole_angle", "usable_wave_recordings"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Noise = dict[tuple[str, str], NoiseModel]
 
 MODES = ("whole_angle", "ring_down", "ring_up", "stiffness", "ftr_x", "ftr_y")
-_ROUNDS = 2
-#: below this span the resonance is not regressed on temperature [K]; how far it wanders at least [rad/s]
-_TEMPERATURE_SPAN_K, _LEAST_WANDER_RAD_S = 0.1, 1e-3
-#: spread of the squared amplitude (or drive) from which on cubic terms show; chance of taking one up for nothing
+_ROUNDS = 5
+#: relative spread of the squared amplitude (or drive) from which on cubic terms show; chance of taking one up for nothing
 _AMPLITUDE_SPREAD, _CHANCE = 0.3, 1e-5
 #: beyond this condition number a cubic term cannot be told from the rest
 _WORST_CONDITION = 1e7
@@ -52,19 +54,19 @@ class WholeAngleEstimate:
     Parameters
     ----------
     flow : SlowFlowEstimate
-        A (constant input rate included), G, E; its covariance, noise by (channel, role, ""), table.
+        A (constant input rate included), G, E; its covariance, its noise by (channel, label, ""), its table.
     rate_response : ndarray, shape (2, 2), complex, or None
         dA/dOmega, when a rate was applied.
     covariance : ndarray, shape (n, n)
         Of :meth:`vector`.
+    drive_lag_s : float
+        How much later the drive acts than it is recorded [s]; 0 when that was not sought (no open drive: it passes for feedthrough).
     terms : mapping of str to complex
         Cubic coefficients that were needed, see :mod:`.wave_terms`.
-    terms_sd : mapping of str to float
-        Their standard deviations (of the larger part).
+    terms_sd : mapping of str to tuple of 2 float
+        Standard deviations of their real and imaginary parts.
     term_gains : mapping of str to float
         Chi-square that each kind of term took away.
-    excess : mapping of (channel, role) to float
-        Noise at the lines of the signal over that of the quiet lines, at least one.
     wander_rad_s : float
         How the resonance moves between recordings.
     """
@@ -72,10 +74,10 @@ class WholeAngleEstimate:
     flow: SlowFlowEstimate
     rate_response: ComplexArray | None
     covariance: FloatArray
+    drive_lag_s: float = 0.0
     terms: Mapping[str, complex] = field(default_factory=dict)
-    terms_sd: Mapping[str, float] = field(default_factory=dict)
+    terms_sd: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     term_gains: Mapping[str, float] = field(default_factory=dict)
-    excess: Mapping[tuple[str, str], float] = field(default_factory=dict)
     wander_rad_s: float = 0.0
 
     def vector(self) -> FloatArray:
@@ -138,39 +140,10 @@ def fit_whole_angle(
             "Recordings must include mode whole_angle, but got "
             f"{', '.join(sorted({r.command.mode for r in recordings})) or 'none'}. Record virtual precession of both senses."
         )
-    data = _Data.of(recordings, decay_rate, drive_amplitude_v)
+    data = WaveData.of(recordings, decay_rate, drive_amplitude_v)
     if terms is not None:
-        return data.estimate(data.fit(tuple(t for t in TERMS if t.name in terms)), {})
+        return _estimate(data, _fit(data, tuple(t for t in TERMS if t.name in terms)), {})
     return _selected(data)
-
-
-def _selected(data: _Data) -> WholeAngleEstimate:
-    """Take up the kind of term that removes most chi-square as long as that is beyond chance."""
-    best = data.fit(())
-    chosen: tuple[Term, ...] = ()
-    gains: dict[str, float] = {}
-    candidates = [t for t in TERMS if data.may_show(t)]
-    while candidates:
-        trials = []
-        for term in candidates:
-            try:
-                rich = data.fit((*chosen, term))
-                # weighed with the noise of the richer fit: the poorer one's misfit leaks into its own noise
-                poor = data.solve(data.layout(chosen), rich.noise, rich.excess, best.solution)
-            except CalibrationRefused:
-                continue
-            if rich.solution.condition_number < _WORST_CONDITION:
-                limit = float(chdtri(2 * len(term.coefficients), _CHANCE))
-                trials.append((poor.chi2 - rich.solution.chi2 - limit, limit, term, rich))
-        if not trials:
-            break
-        margin, limit, term, rich = max(trials, key=lambda trial: trial[0])
-        if margin <= 0.0:
-            break
-        best, chosen = rich, (*chosen, term)
-        gains[term.name] = margin + limit
-        candidates.remove(term)
-    return data.estimate(best, gains)
 
 
 @dataclass(frozen=True)
@@ -180,218 +153,145 @@ class _Fit:
     layout: Layout
     solution: LinearFit
     noise: Noise
-    excess: dict[tuple[str, str], float]
+    excess: Excess
 
 
-@dataclass(frozen=True)
-class _Data:
-    """Projected recordings at the lines of interest and at quiet ones."""
-
-    recordings: list[Recording]
-    omega0: float
-    wander: float
-    base: Layout
-    signal: list[WaveProjected]
-    quiet: list[WaveProjected]
-
-    @classmethod
-    def of(cls, recordings: list[Recording], decay_rate: float, drive_amplitude_v: float | None) -> _Data:
-        closed = [r for r in recordings if in_wave_frame(r)]
-        omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in closed]))
-        slope, middle, wander = _resonance_motion(closed)
-        signal, quiet = [], []
-        for r in recordings:
-            scale = None if drive_amplitude_v is None else np.linalg.norm(r.pick, axis=1) / drive_amplitude_v
-            shift = slope * (r.temperature_degc - middle)
-            products = Products(
-                r, omega0, decay_rate, shift, plain=plain_signals(), derived=derived_signals(), drive_scale=scale
-            )
-            lines = signal_lines(r, products.speed_rad_s)
-            signal.append(products.project(lines))
-            quiet.append(products.project(quiet_lines(r, max(lines))))
-        return cls(recordings, omega0, wander, Layout.of(recordings, omega0), signal, quiet)
-
-    def may_show(self, term: Term) -> bool:
-        """Whether what the term is cubic in was varied, over the recordings or within one."""
-        over_drive = term.name == "drive_cubic"
-        squares = []
-        for r in self.recordings:
-            if in_wave_frame(r):
-                volts = np.sum(np.abs(r.drive if over_drive else r.pick) ** 2, axis=1)
-                squares += [float(q) for q in np.quantile(volts, [0.05, 0.95])]
-        return max(squares) > (1.0 + _AMPLITUDE_SPREAD) * min(squares)
-
-    def layout(self, terms: tuple[Term, ...]) -> Layout:
-        """Layout with these cubic terms."""
-        return replace(self.base, terms=terms)
-
-    def fit(self, terms: tuple[Term, ...]) -> _Fit:
-        """Fit with the noise measured along the way: on quiet lines first, then how much more there is where the signal is."""
-        layout = self.layout(terms)
-        noise: Noise = {}
-        excess: dict[tuple[str, str], float] = {}
-        solution = self.solve(layout, noise, excess, None)
-        for _ in range(_ROUNDS):
-            noise = self._measured(layout, solution)
-            solution = self.solve(layout, noise, {}, solution)
-            excess = self._excess(noise, solution)
-            solution = self.solve(layout, noise, excess, solution)
-        return _Fit(layout, solution, noise, excess)
-
-    def solve(self, layout: Layout, noise: Noise, excess: Mapping[tuple[str, str], float], before: LinearFit | None) -> LinearFit:
-        """Weighted least squares; A and E of ``before`` enter the small corrections."""
-        equations = []
-        for i, (p, r) in enumerate(zip(self.signal, self.recordings, strict=True)):
-            sd = self._deviations(r, p, noise, excess)
-            equations.append(
-                Equation(
-                    lhs=p.lhs,
-                    regressors=self._regressors(layout, p, r, before),
-                    gram=p.gram,
-                    sd_re=sd.real,
-                    sd_im=sd.imag,
-                    # every resonance is its own, near that of the others; the wave's also moves steadily
-                    detuning=p.resonance if in_wave_frame(self.recordings[i]) else p.resonance[:, :1],
-                    detuning_sd=self.wander,
-                )
-            )
-        return fit_axis(equations)
-
-    def _regressors(self, layout: Layout, p: WaveProjected, r: Recording, before: LinearFit | None) -> ComplexArray:
-        zero = np.zeros((2, 2), dtype=complex)
-        A, E = (zero, zero) if before is None else layout.flow(before.coefficients)
-        return layout.regressors(p, r, A, E)
-
-    def _deviations(
-        self, r: Recording, p: WaveProjected, noise: Noise, excess: Mapping[tuple[str, str], float]
-    ) -> ComplexArray:
-        """Standard deviations of the equations, of the real parts and (as imaginary part) of the imaginary ones."""
-        half = p.lhs.size // 2
-        sd = np.empty(p.lhs.size, dtype=complex)
-        role = role_of(r)
-        for k in range(2):
-            place = slice(k * half, (k + 1) * half)
-            parts = []
-            for channel in CHANNELS[2 * k : 2 * k + 2]:
-                model = noise.get((channel, role))
-                density = np.ones(half) if model is None else model.density(p.frequency_hz[place])
-                parts.append(np.sqrt(density * excess.get((channel, role), 1.0)))
-            sd[place] = parts[0] + 1j * parts[1]
-        return sd
-
-    def _measured(self, layout: Layout, solution: LinearFit) -> Noise:
-        """Noise of each role and channel from what the model leaves at its quiet lines."""
-        found: dict[tuple[str, str], list[tuple[FloatArray, FloatArray]]] = {}
-        longest: dict[str, float] = {}
-        for p, r in zip(self.quiet, self.recordings, strict=True):
-            left = p.lhs - self._regressors(layout, p, r, solution) @ solution.coefficients
-            half, role = p.lhs.size // 2, role_of(r)
-            longest[role] = max(longest.get(role, 0.0), r.duration_s)
-            for k, channel in enumerate(CHANNELS):
-                own = left[(k // 2) * half : (k // 2 + 1) * half]
-                squares = (own.real if k % 2 == 0 else own.imag) ** 2
-                found.setdefault((channel, role), []).append((p.frequency_hz[:half], squares))
-        return {
-            (channel, role): fit_noise(np.concatenate([f for f, _ in pairs]), np.concatenate([s for _, s in pairs]), 0.3 / longest[role])
-            for (channel, role), pairs in found.items()
-        }
-
-    def _scores(self, noise: Noise, solution: LinearFit) -> dict[tuple[str, str], tuple[float, int]]:
-        """Sum of the squared, weighed residuals at the signal's lines, and their number, by channel and role."""
-        total: dict[tuple[str, str], tuple[float, int]] = {}
-        for p, r, left in zip(self.signal, self.recordings, solution.residuals, strict=True):
-            sd = self._deviations(r, p, noise, {})
-            half = p.lhs.size // 2
-            for k, channel in enumerate(CHANNELS):
-                own = slice((k // 2) * half, (k // 2 + 1) * half)
-                ratio = left[own].real / sd[own].real if k % 2 == 0 else left[own].imag / sd[own].imag
-                squares, count = total.get((channel, role_of(r)), (0.0, 0))
-                total[channel, role_of(r)] = (squares + float(ratio @ ratio), count + half)
-        return total
-
-    def _excess(self, noise: Noise, solution: LinearFit) -> dict[tuple[str, str], float]:
-        """How much more noise there is where the signal is than the quiet lines tell, where that is beyond chance."""
-        equations = sum(count for _, count in self._scores(noise, solution).values())
-        spare = solution.dof / max(equations, 1)
-        out = {}
-        for key, (squares, count) in self._scores(noise, solution).items():
-            ratio = squares / (count * spare)
-            out[key] = ratio if ratio > 1.0 + 2.0 * math.sqrt(2.0 / count) else 1.0
-        return out
-
-    def estimate(self, fit: _Fit, gains: Mapping[str, float]) -> WholeAngleEstimate:
-        """Package a fit."""
-        layout, solution = fit.layout, fit.solution
-        size, own = 4 * layout.per_axis, layout.rate_response
-        keep = np.concatenate([np.arange(size), np.arange(2 * own.start, 2 * own.stop)]).astype(int)
-        covariance = solution.covariance[np.ix_(keep, keep)]
-        temperatures = np.array([r.temperature_degc.mean() for r in self.recordings])
-        scores = self._scores(fit.noise, solution)
-        # the frequency of a wave holds the wander of its resonance, which is nobody's misfit
-        judged = {key: score for key, score in scores.items() if key[0] != "frequency" or key[1].startswith("open")}
-        equations = sum(count for _, count in scores.values())
-        blank = SlowFlowParameters(*(np.zeros((2, 2), dtype=complex) for _ in range(5)))
-        flow = SlowFlowEstimate(
-            values=blank,
-            covariance=covariance[:size, :size],
-            has_feedthrough=layout.has_feedthrough,
-            has_cubic=False,
-            cubic_gain=0.0,
-            omega0_rad_s=self.omega0,
-            temperature_degc=float(temperatures.mean()),
-            temperature_sd_k=float(temperatures.std()),
-            chi2=sum(squares for squares, _ in judged.values()),
-            dof=max(1, round(sum(count for _, count in judged.values()) * solution.dof / max(equations, 1))),
-            condition_number=solution.condition_number,
-            noise={(channel, role, ""): model for (channel, role), model in fit.noise.items()},
-            table=tuple(self._table(fit)),
-        )
-        flow = replace(flow, values=flow.unpack(solution.coefficients[: 2 * layout.per_axis].view(np.float64)))
-        terms, terms_sd = {}, {}
-        deviations = np.sqrt(np.diag(solution.covariance)).reshape(-1, 2).max(axis=1)
-        for term in layout.terms:
-            place = layout.term(term.name)
-            terms |= {name: complex(c) for name, c in zip(term.coefficients, solution.coefficients[place], strict=True)}
-            terms_sd |= {name: float(s) for name, s in zip(term.coefficients, deviations[place], strict=True)}
-        return WholeAngleEstimate(
-            flow=flow,
-            rate_response=solution.coefficients[own].reshape(2, 2) if layout.turned else None,
-            covariance=covariance,
-            terms=terms,
-            terms_sd=terms_sd,
-            term_gains=dict(gains),
-            excess=fit.excess,
-            wander_rad_s=self.wander,
-        )
-
-    def _table(self, fit: _Fit) -> list[TableRow]:
-        """One row a recording: volts and residual of its mean, along and across the wave."""
-        rows = []
-        for p, r, left in zip(self.signal, self.recordings, fit.solution.residuals, strict=True):
-            half = p.lhs.size // 2
-            pair = (0, half)
-            sd = self._deviations(r, p, fit.noise, fit.excess)
-            pick, drive = (np.trace(q, axis1=1, axis2=2) for q in (p.pick, p.drive))
-            rows.append(
-                TableRow(
-                    label=r.label,
-                    axis=r.command.oscillator_axis or "",
-                    frequency_hz=float(p.frequency_hz[0]),
-                    pick=(complex(pick[0]), complex(pick[half])),
-                    drive=(complex(drive[0]), complex(drive[half])),
-                    residual=(complex(left[0]), complex(left[half])),
-                    sd=tuple(math.sqrt(0.5 * (sd[i].real ** 2 + sd[i].imag ** 2)) for i in pair),  # type: ignore[arg-type]
-                )
-            )
-        return rows
+def _fit(data: WaveData, terms: tuple[Term, ...]) -> _Fit:
+    """Fit with the noise measured along the way: on quiet lines first, then how much more there is where the signal is."""
+    layout = replace(data.base, terms=terms)
+    noise: Noise = {}
+    excess: Excess = {}
+    solution = data.solve(layout, noise, excess, None)
+    for _ in range(_ROUNDS):
+        # from too little trust to more: a recording that looks quiet by chance must not pull the fit onto itself
+        noise = data.measured(layout, solution)
+        excess = data.excess(noise, solution)
+        solution = data.solve(layout, noise, excess, solution)
+    return _Fit(layout, solution, noise, excess)
 
 
-def _resonance_motion(closed: list[Recording]) -> tuple[float, float, float]:
-    """Slope of the resonance with temperature [rad/s/K] (zero when it hardly moved), mean temperature, wander that is left [rad/s]."""
-    temperature = np.array([r.temperature_degc.mean() for r in closed])
-    omega = np.array([r.ref_omega_rad_s.mean() for r in closed])
-    middle, slope = float(temperature.mean()), 0.0
-    if np.ptp(temperature) >= _TEMPERATURE_SPAN_K:
-        slope = float(np.polyfit(temperature - middle, omega, 1)[0])
-    left = omega - omega.mean() - slope * (temperature - middle)
-    return slope, middle, max(float(np.std(left)), _LEAST_WANDER_RAD_S)
+def _selected(data: WaveData) -> WholeAngleEstimate:
+    """Take up the kind of term that removes most chi-square as long as that is beyond chance."""
+    best = _fit(data, ())
+    gains: dict[str, float] = {}
+    candidates = [t for t in TERMS if _may_show(data, t)]
+    while candidates:
+        rough = {term.name: _gain(data, best, term, best.noise, best.excess) for term in candidates}
+        term = max(candidates, key=lambda t: rough[t.name] - _limit(t))
+        if rough[term.name] <= _limit(term):
+            break
+        rich = _fit(data, (*best.layout.terms, term))
+        # again with the noise of the richer fit: the poorer one's misfit leaks into its own noise
+        gain = _gain(data, best, term, rich.noise, rich.excess)
+        if gain <= _limit(term):
+            break
+        best, gains[term.name] = rich, gain
+        candidates.remove(term)
+    return _estimate(data, best, gains)
+
+
+def _limit(term: Term) -> float:
+    """Chi-square that a term takes away by chance once in 1/_CHANCE campaigns."""
+    return float(chdtri(2 * len(term.coefficients), _CHANCE))
+
+
+def _gain(data: WaveData, fit: _Fit, term: Term, noise: Noise, excess: Excess) -> float:
+    """Chi-square that a further term takes away; nothing where it cannot be told from the rest."""
+    layout = replace(fit.layout, terms=(*fit.layout.terms, term))
+    try:
+        poor = data.solve(fit.layout, noise, excess, fit.solution)
+        rich = data.solve(layout, noise, excess, _with_room(fit.solution, len(term.coefficients)))
+    except CalibrationRefused:
+        return 0.0
+    return poor.chi2 - rich.chi2 if rich.condition_number < _WORST_CONDITION else 0.0
+
+
+def _with_room(solution: LinearFit, more: int) -> LinearFit:
+    """The solution of a poorer fit in the layout of a richer one: what it did not know is zero."""
+    return replace(solution, coefficients=np.concatenate([solution.coefficients, np.zeros(more, dtype=complex)]))
+
+
+def _may_show(data: WaveData, term: Term) -> bool:
+    """Whether what the term is cubic in was varied, over the recordings or within one."""
+    squares: list[float] = []
+    for r in data.recordings:
+        if in_wave_frame(r):
+            volts = np.sum(np.abs(r.drive if term.name == "drive_cubic" else r.pick) ** 2, axis=1)
+            squares += [float(q) for q in np.quantile(volts, [0.05, 0.95])]
+    return max(squares) > (1.0 + _AMPLITUDE_SPREAD) * min(squares)
+
+
+def _estimate(data: WaveData, fit: _Fit, gains: Mapping[str, float]) -> WholeAngleEstimate:
+    """Package a fit."""
+    layout, coefficients = fit.layout, fit.solution.coefficients
+    size, own = 4 * layout.per_axis, layout.rate_response
+    keep = np.concatenate([np.arange(size), np.arange(2 * own.start, 2 * own.stop)]).astype(int)
+    covariance = fit.solution.covariance[np.ix_(keep, keep)]
+    deviations = np.sqrt(np.diag(fit.solution.covariance)).reshape(-1, 2)
+    terms: dict[str, complex] = {}
+    terms_sd: dict[str, tuple[float, float]] = {}
+    for term in layout.terms:
+        for name, c, (re, im) in zip(
+            term.coefficients, coefficients[layout.term(term.name)], deviations[layout.term(term.name)], strict=True
+        ):
+            terms[name], terms_sd[name] = complex(c), (float(re), float(im))
+    lag = coefficients[layout.lag].reshape(-1, 2, 2)
+    flow = _flow(data, fit, covariance[:size, :size])
+    return WholeAngleEstimate(
+        flow=flow,
+        rate_response=coefficients[own].reshape(2, 2) if layout.turned else None,
+        covariance=covariance,
+        drive_lag_s=-float(np.mean((np.diag(lag[0]) / np.diag(flow.values.G)).real)) if layout.lagging else 0.0,
+        terms=terms,
+        terms_sd=terms_sd,
+        term_gains=dict(gains),
+        wander_rad_s=data.wander,
+    )
+
+
+def _flow(data: WaveData, fit: _Fit, covariance: FloatArray) -> SlowFlowEstimate:
+    """The part that other experiments have too, in their form."""
+    solution = fit.solution
+    scores = data.scores(fit.noise, solution)
+    # the frequency of a wave holds the wander of its resonance, which is nobody's misfit
+    judged = [score for (i, channel), score in scores.items() if channel != "frequency" or not in_wave_frame(data.recordings[i])]
+    spare = solution.dof / max(sum(count for _, count in scores.values()), 1)
+    temperatures = np.array([r.temperature_degc.mean() for r in data.recordings])
+    flow = SlowFlowEstimate(
+        values=SlowFlowParameters(*(np.zeros((2, 2), dtype=complex) for _ in range(5))),
+        covariance=covariance,
+        has_feedthrough=fit.layout.has_feedthrough,
+        has_cubic=False,
+        cubic_gain=0.0,
+        omega0_rad_s=data.omega0,
+        temperature_degc=float(temperatures.mean()),
+        temperature_sd_k=float(temperatures.std()),
+        chi2=sum(squares for squares, _ in judged),
+        dof=max(1, round(spare * sum(count for _, count in judged))),
+        condition_number=solution.condition_number,
+        noise={(channel, data.recordings[i].label, ""): model for (i, channel), model in fit.noise.items()},
+        table=tuple(_table_row(data, fit, i) for i in range(len(data.recordings))),
+    )
+    block = np.ascontiguousarray(solution.coefficients[: 2 * fit.layout.per_axis])
+    return replace(flow, values=flow.unpack(block.view(np.float64)))
+
+
+def _table_row(data: WaveData, fit: _Fit, index: int) -> TableRow:
+    """Volts and residual of a recording's mean, along and across the wave (with loops off: x and y)."""
+    p, r = data.signal[index], data.recordings[index]
+    sd, left = data.deviations(index, fit.noise, fit.excess), fit.solution.residuals[index]
+    pick, drive = (np.trace(q, axis1=1, axis2=2) for q in (p.pick, p.drive))
+    first, second = 0, p.lhs.size // 2
+
+    def spread(i: int) -> float:
+        return math.sqrt(0.5 * (sd[i].real ** 2 + sd[i].imag ** 2))
+
+    return TableRow(
+        label=r.label,
+        axis=r.command.oscillator_axis or "",
+        frequency_hz=float(p.frequency_hz[0]),
+        pick=(complex(pick[first]), complex(pick[second])),
+        drive=(complex(drive[first]), complex(drive[second])),
+        residual=(complex(left[first]), complex(left[second])),
+        sd=(spread(first), spread(second)),
+    )

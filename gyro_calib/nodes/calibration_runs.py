@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..calibration import record_from_result
+from ..calibration import FactoryStore, record_from_result, with_factory_record
 from ..calibration.record import CalibrationRecord
 from ..errors import ExperimentAborted, GyroCalibError
 from ..estimation import calibrate
@@ -180,7 +180,8 @@ class CalibrationRun:
                 raise ExperimentAborted("Run was cancelled during the estimate.")
 
         run.estimating(f"estimating from {len(campaign)} recordings")
-        result = calibrate(campaign, on_progress=told, with_convergence=False)
+        factory = FactoryStore(None, campaign.device_id).load()
+        result = calibrate(with_factory_record(campaign, factory), on_progress=told, with_convergence=False)
         return record_from_result(result, campaign, run_id=run.run_id, mode=self._plan.final.mode)
 
 

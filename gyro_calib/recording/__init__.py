@@ -4,6 +4,7 @@ from .bag import read_campaign_bag
 from .bag_writer import write_campaign_bag
 from .columns import CHANNELS, COLUMN_UNITS, COLUMNS, column_index
 from .command import EXCITATIONS, MODES, Command, Excitation, Setpoints
+from .demodulate import demodulate
 from .hdf5 import read_campaign_h5, write_campaign_h5
 from .integrity import check_rows, validate
 from .load import load_campaign
@@ -23,6 +24,7 @@ __all__ = [
     "Setpoints",
     "check_rows",
     "column_index",
+    "demodulate",
     "load_campaign",
     "raw_rate",
     "read_campaign_bag",

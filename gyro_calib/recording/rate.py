@@ -1,5 +1,5 @@
-"""The uncalibrated rate that a gyro's own firmware reports: from the rebalance drive over the *nominal* scale factor, or from the azimuth of a
-free wave over the *nominal* angular gain.
+"""The uncalibrated rate of a gyro's own firmware: rebalance drive over the *nominal* scale factor, or turning of a free wave over the
+*nominal* angular gain.
 
 ``omega_meas = K omega + b + n`` with ``K`` the true scale factor over the nominal one; calibration finds ``K`` and ``b``.
 """

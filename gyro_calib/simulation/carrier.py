@@ -15,7 +15,7 @@ from ..device.electronics import SLOTS
 from ..jit import kernel
 from .control import control_step
 from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT
-from .multiplex import READ_X, READ_Y, slot_envelope, slot_gains
+from .multiplex import READ_X, READ_Y, hold_columns, slot_envelope, slot_gains
 from .propagator import exact_propagator
 
 __all__ = [
@@ -95,7 +95,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     loop, param : ndarray
         State and parameters of :func:`.control.control_step`.
     adc_acc : ndarray, shape (2, 4)
-        Accumulators of the demodulated pick-offs: of the period under way and of the one after it. Multiplexed: the first keeps the readings.
+        Accumulators of the demodulated pick-offs: of the period under way and of the one after it. Multiplexed: the first keeps the
+        readings.
     row_acc : ndarray, shape (2, 9)
         Accumulators of the row under way and of the one after it.
     adc_w, row_w : ndarray, shape (3, samples) and (2, 3, controls)
@@ -113,8 +114,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     converters : ndarray, shape (7,)
         ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2], one over the gap of x and y in pick-off volts [1/V].
     const : ndarray, shape (5,)
-        Sample time [s], nominal w [rad/s], pick-off noise [V per sample], samples in which a multiplexed chain settles, factor of the drive per
-        metre of motion with FLAG_TWICE [1/m].
+        Sample time [s], nominal w [rad/s], pick-off noise [V per sample], samples in which a multiplexed chain settles, factor of the drive
+        per metre of motion with FLAG_TWICE [1/m].
     flags : int
         Which of the rarer branches are on.
     noise : ndarray, shape (4 samples,), float32
@@ -137,7 +138,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     gap_on, raw_on = flags & FLAG_PICKOFF_GAP != 0, flags & FLAG_RAW != 0
     multiplexed, twice_on, stray_on = flags & FLAG_MULTIPLEXED != 0, flags & FLAG_TWICE != 0, flags & FLAG_STRAY != 0
     settling = int(const[3]) if multiplexed else 0
-    on_share = (samples - settling) / samples
+    on_share, due = (samples - settling) / samples, True
     half_kick = -0.5 * dt / w
     n = 0
     x, y, vx, vy = z[0], z[1], z[2], z[3]
@@ -230,7 +231,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                     n00, n01 = slot_envelope(volts, 0, phase, omega * dt, settling)
                 elif slot == READ_Y:
                     n02, n03 = slot_envelope(volts, 2, phase, omega * dt, settling)
-                loop[S_SLOT] = (slot + 1) % SLOTS
+                due = slot == READ_Y
             phase = (phase + omega * dt * samples) % (2.0 * math.pi)
             xc, xs, yc, ys = n00, n01, n02, n03
             if not multiplexed:
@@ -245,7 +246,11 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             line = steps[step]
             line[0], line[1], line[2], line[3] = xc, xs, yc, ys
             line[4], line[5], line[6], line[7], line[8] = uxc, uxs, uyc, uys, omega
-            control_step(loop, param, xc, xs, yc, ys)
+            if multiplexed:
+                hold_columns(loop, 1.5 - 0.5 * settling / samples, line)
+                loop[S_SLOT] = (loop[S_SLOT] + 1.0) % SLOTS
+            if due:
+                control_step(loop, param, xc, xs, yc, ys)
         emit_row(steps, row_w, row_acc, out[row])
     z[0], z[1], z[2], z[3] = x, y, vx, vy
     loop[S_PHASE] = phase

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..jit import kernel
+from ..jit import inlined_kernel, kernel
 from .control_layout import (
     EXC_AMPLITUDE,
     EXC_BODY,
@@ -59,7 +59,7 @@ def _open_drive(state, param):  # type: ignore[no-untyped-def]
     return (volts, 0.0) if int(param[P_AXIS]) == 0 else (0.0, volts)
 
 
-@kernel
+@inlined_kernel
 def _rebalance_step(state, param, oc, os, cc, cs):  # type: ignore[no-untyped-def]
     """Force to rebalance: drive along the oscillator [V, its sine], and both quadratures of the drive of the closed axis [V]."""
     full, period, amplitude = param[P_FULL_SCALE], param[P_PERIOD], param[P_AMPLITUDE]
@@ -90,7 +90,7 @@ def _rebalance_step(state, param, oc, os, cc, cs):  # type: ignore[no-untyped-de
     return along, clip(im, full), clip(-re, full)
 
 
-@kernel
+@inlined_kernel
 def control_step(state, param, xc, xs, yc, ys):  # type: ignore[no-untyped-def]
     """Advance the loops by one control period, in place.
 

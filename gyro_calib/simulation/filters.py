@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ORDER", "boxcar_cascade", "delay_taps", "group_delay_samples", "polyphase_weights"]
+__all__ = ["ORDER", "boxcar_cascade", "group_delay_samples", "polyphase_weights"]
 
 FloatArray = NDArray[np.float64]
 #: boxcars in the cascade
@@ -44,8 +44,3 @@ def polyphase_weights(length: int, after: FloatArray | None = None) -> FloatArra
 def group_delay_samples(length: int) -> float:
     """Delay of the centre of the kernel behind its newest sample [samples]."""
     return (ORDER * length - ORDER) / 2.0
-
-
-def delay_taps(blocks: float) -> FloatArray:
-    """Three taps of sum 1 that delay by 0 to 2 steps, by linear interpolation between the neighbouring ones; shape (3,)."""
-    return np.maximum(0.0, 1.0 - np.abs(np.arange(ORDER) - blocks))

@@ -1,7 +1,7 @@
 """Flicker noise row by row: a sum of Ornstein-Uhlenbeck processes whose correlation times are spread evenly in the logarithm.
 
-With equal variances ``s^2`` and times in ratio r the sum has the one-sided density ``s^2 / (f ln r)`` between the ends, and flicker of density
-``h / f`` has the Allan variance ``2 ln 2 h``: the floor is s for r = 4.
+With equal variances ``s^2`` and times in ratio r the sum has the one-sided density ``s^2 / (f ln r)`` between the ends, and flicker of
+density ``h / f`` has the Allan variance ``2 ln 2 h``: the floor is s for r = 4.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def loop_parameters(device: Device, command: Command) -> FloatArray:
     param[c.P_FULL_SCALE] = device.electronics.dac_full_scale_v * on_share
     param[c.P_COMP : c.P_COMP + 4] = command.compensation
     param[c.P_REBALANCE] = command.setpoints.rebalance
-    param[c.P_PERIOD] = 1.0 / device.electronics.control_rate_hz
+    param[c.P_PERIOD] = (SLOTS if device.multiplexing.enabled else 1) / device.electronics.control_rate_hz
     param[c.P_PRECESSION] = command.setpoints.virtual_precession_v
     param[c.P_STIFFNESS] = command.setpoints.stiffness_v_per_v
     param[c.P_GAIN] = command.setpoints.amplitude_gain_v_per_v
@@ -101,7 +101,9 @@ def check_command(command: Command) -> None:
     gain = command.setpoints.amplitude_gain_v_per_v
     if (command.mode == "ring_down" and gain > 0.0) or (command.mode == "ring_up" and gain <= 0.0):
         wanted = "<= 0 in mode ring_down" if command.mode == "ring_down" else "> 0 in mode ring_up"
-        raise DeviceError(f"Set point amplitude_gain_v_per_v must be {wanted}, but got {gain!r}. Negative drives down, 0 rings down freely.")
+        raise DeviceError(
+            f"Set point amplitude_gain_v_per_v must be {wanted}, but got {gain!r}. Negative drives down, 0 rings down freely."
+        )
 
 
 def hand_over(state: FloatArray, before: Command, after: Command) -> None:

@@ -81,10 +81,11 @@ class _Base:
         self.settling = round(multiplexing.settling_share * n) if multiplexing.enabled else 0
         # how far the centre of what the pick-offs are made of lies behind the end of a control period [samples]
         age = filters.group_delay_samples(n) + 1.0
-        after = self.shares
-        if multiplexing.enabled:  # held over the frame: the other columns wait as long
-            age = 0.5 * (n - self.settling + 1) + 0.5 * (SLOTS - 1) * n
-            after = filters.delay_taps((age + 0.5) / n - 0.5)
+        after: FloatArray | None = self.shares
+        if multiplexing.enabled:  # every column is held over the frame instead
+            age, after = 0.5 * (n - self.settling + 1) + 0.5 * (SLOTS - 1) * n, None
+            loop[control_layout.S_HELD : control_layout.S_HELD + 4] = loop[control_layout.S_DRIVE : control_layout.S_DRIVE + 4]
+            loop[control_layout.S_PAST : control_layout.S_PAST + 2] = loop[control_layout.S_OMEGA]
         self.row_w = np.stack([filters.polyphase_weights(e.controls_per_row, taps) for taps in (None, after)])
         self.row_delay_s = (age + n * filters.group_delay_samples(e.controls_per_row)) / e.adc_rate_hz
         volts = start.pick + device.feedthrough_matrix() @ start.drive

@@ -17,7 +17,7 @@ from ..jit import kernel
 from .carrier import emit_row
 from .control import control_step
 from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_SLOT
-from .multiplex import READ_X, READ_Y, slot_gains
+from .multiplex import READ_X, READ_Y, hold_columns, slot_gains
 
 __all__ = ["FLOW_COLUMNS", "slow_flow_rows"]
 
@@ -77,8 +77,8 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
     feed : ndarray, shape (8,)
         E: re, im of xx, xy, yx, yy.
     const : ndarray, shape (7,)
-        Control period [s], sd of the pick-off noise per period [V], 1 when there are nonlinear forces, place of a reading in its period (0 to
-        1), 1 when multiplexed, factor of the drive per metre of motion or 0 for none [1/m], 1 when there is stray drive.
+        Control period [s], sd of the pick-off noise per period [V], 1 when there are nonlinear forces, place of a reading in its period (0
+        to 1), 1 when multiplexed, factor of the drive per metre of motion or 0 for none [1/m], 1 when there is stray drive.
     noise : ndarray, shape (8 rows controls,), float32
         Standard normals: force on x, y, then pick-off noise of x, y, each re, im.
     out : ndarray, shape (rows, 9)
@@ -87,7 +87,7 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
     controls = row_w.shape[2]
     period, pick_noise, curved = const[0], const[1], const[2] > 0.0
     late, early, multiplexed, per_metre = const[3], 1.0 - const[3], const[4] > 0.0, const[5]
-    strayed = const[6] > 0.0
+    strayed, due = const[6] > 0.0, True
     altered = multiplexed or per_metre > 0.0 or strayed
     sh0, sh1, sh2 = shares[0], shares[1], shares[2]
     e0, e1, e2, e3, e4, e5, e6, e7 = feed[0], feed[1], feed[2], feed[3], feed[4], feed[5], feed[6], feed[7]
@@ -150,14 +150,18 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
                     mxr, mxi = m1xr, m1xi
                 if slot != READ_Y:
                     myr, myi = m1yr, m1yi
-                loop[S_SLOT] = (slot + 1) % SLOTS
+                due = slot == READ_Y
             vxr, vxi = sh0 * mxr + (sh1 * m1xr + sh2 * m2xr), sh0 * mxi + (sh1 * m1xi + sh2 * m2xi)
             vyr, vyi = sh0 * myr + (sh1 * m1yr + sh2 * m2yr), sh0 * myi + (sh1 * m1yi + sh2 * m2yi)
             s = steps[step]
             s[0], s[1], s[2], s[3] = vxr, vxi, vyr, vyi
             s[4], s[5], s[6], s[7], s[8] = uxr, uxi, uyr, uyi, omega
+            if multiplexed:
+                hold_columns(loop, 2.0 - late, s)
+                loop[S_SLOT] = (loop[S_SLOT] + 1.0) % SLOTS
             m2xr, m2xi, m2yr, m2yi, m1xr, m1xi, m1yr, m1yi = m1xr, m1xi, m1yr, m1yi, mxr, mxi, myr, myi
-            control_step(loop, param, vxr, vxi, vyr, vyi)
+            if due:
+                control_step(loop, param, vxr, vxi, vyr, vyi)
             n += 8
         emit_row(steps, row_w, row_acc, out[row])
     p[0], p[1], p[2], p[3] = pxr, pxi, pyr, pyi

@@ -57,9 +57,7 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
     point = None
     for _ in range(4):
         flow = device.slow_flow(rate_rad_s, omega_rad_s=omega)
-        point = ftr_operating_point(
-            flow.A, flow.G, flow.E, command.setpoints.amplitude_v, axis, extra=_nonlinear_forces(device, omega)
-        )
+        point = ftr_operating_point(flow.A, flow.G, flow.E, command.setpoints.amplitude_v, axis, extra=_nonlinear_forces(device, omega))
         omega += point.detuning_rad_s
     assert point is not None
     factor = device.drive_factor(point.pick)
@@ -82,7 +80,7 @@ def wave_points(device: Device, command: Command, rate_rad_s: float = 0.0, azimu
     nonlinear = _nonlinear_forces(device, flow.omega0_rad_s)
     points = []
     for theta in math.pi * np.arange(azimuths) / azimuths:
-        wave = amplitude * np.array([math.cos(2.0 * theta), math.sin(2.0 * theta)], dtype=complex)
+        wave = np.asarray([amplitude * math.cos(2.0 * theta), amplitude * math.sin(2.0 * theta)], dtype=np.complex128)
         points.append(
             wave_point(
                 flow.A,

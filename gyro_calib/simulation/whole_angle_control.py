@@ -1,8 +1,9 @@
 """The whole-angle loops: amplitude, quadrature and frequency from E, Q, L, M; the azimuth of the wave is free (theory.md section 3).
 
-The pick-offs are ``p = e^{i delta} (a n - i q n_perp)`` with ``n = (cos psi, sin psi)``, ``psi = 2 theta``. In envelopes ``c + i s`` document
-004 Eqs. 2-3 read ``E = |x|^2 + |y|^2``, ``Q = 2 (y_c x_s - x_c y_s)``, ``L = 2 (x_c x_s + y_c y_s)``, ``M = x_c^2 - x_s^2 + y_c^2 - y_s^2``
-(its sine channels are minus ours). With ``G ~ -i g`` a drive ``i v n`` raises the amplitude, ``i v n_perp`` turns the wave, ``v n_perp`` raises q.
+The pick-offs are ``p = e^{i delta} (a n - i q n_perp)`` with ``n = (cos psi, sin psi)``, ``psi = 2 theta``. In envelopes ``c + i s`` the
+document 004, Eqs. 2-3, reads ``E = |x|^2 + |y|^2``, ``Q = 2 (y_c x_s - x_c y_s)``, ``L = 2 (x_c x_s + y_c y_s)``,
+``M = x_c^2 - x_s^2 + y_c^2 - y_s^2`` (its sine channels are minus ours). With ``G ~ -i g`` a drive ``i v n`` raises the amplitude,
+``i v n_perp`` turns the wave, ``v n_perp`` raises q.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from ._units import run_unit
 
 
 def run(seed: int) -> dict[str, float]:
-    """One unit at carrier level, plan quality standard: bias [deg/h], scale factor [%, ppm] and rate [deg/h] of the mission's rate channel."""
+    """One unit at carrier level, plan quality standard: bias [deg/h], scale factor [%, ppm] and rate [deg/h] of the rate channel."""
     trial = run_unit(seed, quality="standard")
     result = calibrate(trial.campaign, with_convergence=False)
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
@@ -56,7 +56,7 @@ def summarise(figures: Figures) -> Sequence[Gate]:
 
 STUDY = Study(
     name="self-calibration",
-    description="Bias and scale factor before and after one self-calibration at carrier level, unknown constant rate within twice the earth's",
+    description="Bias and scale factor before and after one self-calibration at carrier level, unknown rate within twice the earth's",
     run=run,
     summarise=summarise,
     default_seeds=20,

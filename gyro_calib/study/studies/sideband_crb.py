@@ -39,8 +39,8 @@ def run(seed: int) -> dict[str, float]:
     )
     _, best = problem.propagate(bound)
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
-    # G ~ 1/omega: the truth is written about the frequency that the fit is written about
-    flow = trial.device.slow_flow(trial.rate_rad_s, omega_rad_s=problem.fit.omega0_rad_s)
+    # the truth at the frequency and at the temperature of the fit: G ~ 1/omega, and a millikelvin of Q(T) is as large as the bound
+    flow = trial.device.slow_flow(trial.rate_rad_s, problem.fit.temperature_degc, problem.fit.omega0_rad_s)
     true = {
         "rate": trial.rate_rad_s,
         "mission_bias_x": trial.truth.bias_rad_s * nominal,
