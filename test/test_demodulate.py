@@ -173,7 +173,7 @@ def test_decimation_is_the_cascade_at_its_centre() -> None:
 @pytest.mark.parametrize("name", ["ring_a", "ring_b", "hrg_a", "hrg_b"])
 def test_another_plants_raw_block_gives_the_rows_of_its_own_logger(name: str) -> None:
     """Its filter is a cascade of four boxcars; the drive columns are the commanded ones, the raw drive the converter's."""
-    campaign = load_campaign(BENCH / f"{name}.h5")
+    campaign = load_campaign(BENCH / f"{name}.h5", check=False)
     raw = [r for r in campaign if r.raw is not None]
     assert raw
     for recording in raw:

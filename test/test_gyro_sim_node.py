@@ -25,14 +25,14 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64MultiArray
 
 from gyro_calib.device import draw_unit, load_device
-from gyro_calib.errors import GyroCalibError
+from gyro_calib.errors import DataError, GyroCalibError
 from gyro_calib.nodes.blocks import block_columns, rows_from_block
-from gyro_calib.nodes.command_parameters import COMMAND_NAMES
+from gyro_calib.nodes.command_parameters import COMMAND_NAMES, CommandLimits, check_command
 from gyro_calib.nodes.gyro_sim_node import GyroSimNode, make_simulator
 from gyro_calib.nodes.ros_instrument import RosInstrument
 from gyro_calib.nodes.runtime import SENSOR_PUB_QOS
 from gyro_calib.recording.columns import COLUMNS
-from gyro_calib.recording.command import Command, Excitation
+from gyro_calib.recording.command import Command, Excitation, Setpoints
 from gyro_calib.simulation import GyroSimulator
 
 pytestmark = pytest.mark.ros
@@ -156,6 +156,21 @@ def test_a_bad_value_is_refused_with_its_range_and_nothing_changes(ros: RosSessi
     assert [p.value for p in gyro.get_parameters(list(COMMAND_NAMES))] == [p.value for p in before]
     assert gyro._commands.empty()
     assert gyro._sim._segment == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        (Command("ring_up"), r"amplitude_gain_v_per_v must be > 0 in mode ring_up, but got 0\.0"),
+        (Command("ring_down", setpoints=Setpoints(amplitude_gain_v_per_v=1.0)), r"must be <= 0 in mode ring_down, but got 1\.0"),
+        (Command("whole_angle", Excitation("amplitude_modulation", 1.0, 0.1)), "kind must be none in mode whole_angle"),
+    ],
+)
+def test_a_free_wave_is_not_told_what_its_loops_cannot_do(command: Command, text: str) -> None:
+    limits = CommandLimits(("whole_angle", "ring_down", "ring_up"), 5.0, 2.5, 1e4, 50.0)
+    check_command(Command("ring_down"), limits)
+    with pytest.raises(DataError, match=text):
+        check_command(command, limits)
 
 
 def test_every_parameter_says_what_it_is_and_in_which_unit(ros: RosSession) -> None:

@@ -37,7 +37,9 @@ class Calibrated:
         self.record: CalibrationRecord = record_from_result(calibrate(campaign, with_convergence=False), campaign, run_id="t")
         self.noisy = noisy
 
-    def recording(self, rate: float, *, rise_k: float = 0.0, amplitude_v: float = 1.0, mode: str = "ftr_x", duration_s: float = 10.0) -> Recording:
+    def recording(
+        self, rate: float, *, rise_k: float = 0.0, amplitude_v: float = 1.0, mode: str = "ftr_x", duration_s: float = 10.0
+    ) -> Recording:
         hot: Device = replace(self.device, environment=replace(self.device.environment, temperature_degc=25.0 + rise_k))
         instrument = SimulatedInstrument(GyroSimulator(hot, rng=np.random.default_rng(2), noisy=self.noisy), rate)
         instrument.configure(Command(mode, setpoints=Setpoints(amplitude_v)))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from gyro_calib.device import Device, draw_unit, load_device
 from gyro_calib.errors import CalibrationRefused, DeviceError, ExperimentAborted
-from gyro_calib.estimation.trusov_shkel import TrusovShkelResult, amplitude_in_gaps, estimate_trusov_shkel, ratio_of_lines
+from gyro_calib.estimation.gap_lines import amplitude_in_gaps, ratio_of_lines
+from gyro_calib.estimation.trusov_shkel import TrusovShkelResult, estimate_trusov_shkel
 from gyro_calib.experiments import SimulatedInstrument, pickoff_phase_plan, plan_by_name, run_plan
 from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.recording import Campaign
@@ -171,5 +172,5 @@ def test_an_instrument_without_raw_samples_is_refused_before_the_run() -> None:
 
 def test_a_motion_near_the_gap_is_refused() -> None:
     simulator = GyroSimulator(_unit(1, gap_amplitude_v=2.0), rng=np.random.default_rng(0))
-    with pytest.raises(DeviceError, match="below 0.7 of the gap"):
+    with pytest.raises(DeviceError, match=r"below 0\.7 of the gap"):
         simulator.configure(Command(setpoints=Setpoints(1.6)))

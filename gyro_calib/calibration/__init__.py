@@ -4,7 +4,8 @@ from .alignment import SenseAxes
 from .apply import CorrectedRate, Corrector, validity_problems
 from .document import dump_record, parse_record
 from .errormodel import COVARIANCE_MODES, CovarianceModel, RateErrorModel
-from .factory_record import FactoryRecord, FactoryStore, factory_record_from_result, with_factory_record
+from .factory_record import FactoryRecord, factory_record_from_result, with_factory_record
+from .factory_store import FactoryStore
 from .from_result import record_from_result
 from .location import default_path, resolve_url, ros_home
 from .mission import Drifts, MissionRate, mission_rate

@@ -18,6 +18,8 @@ __all__ = ["record_from_result"]
 #: a record is applied without a warning within this distance from its temperature [K], and for this long [s]
 VALID_K = 5.0
 VALID_S = 30.0 * 86400.0
+#: mission mode -> its channel in a result
+_CHANNELS = {"ftr_x": "x", "ftr_y": "y", "whole_angle": "whole_angle"}
 
 
 def record_from_result(
@@ -34,7 +36,7 @@ def record_from_result(
     run_id : str
         Run that made it.
     mode : str
-        Mission mode, ``"ftr_x"`` or ``"ftr_y"``.
+        Mission mode, ``"ftr_x"``, ``"ftr_y"`` or ``"whole_angle"``.
     created : datetime, optional
         Time of creation (default: now).
 
@@ -43,17 +45,16 @@ def record_from_result(
     CalibrationRefused
         The mode has no rate channel in the result, the factory data lack the nominal scale factor, or the estimate is not finite.
     """
-    axis = {"ftr_x": "x", "ftr_y": "y"}.get(mode)
-    if axis is None or axis not in result.mission:
-        raise CalibrationRefused(f"Mode must be one that the result calibrates ({', '.join(result.mission)}), but got {mode!r}.")
-    nominal = campaign.factory.get("nominal_scale_factor_v_per_rad_s")
-    if not isinstance(nominal, dict) or axis not in nominal:
-        raise CalibrationRefused(f"Factory data must hold nominal_scale_factor_v_per_rad_s for {axis!r}, but got {nominal!r}.")
-    volts = float(nominal[axis]) * result.amplitude_v / float(campaign.factory.get("nominal_amplitude_v", result.amplitude_v))
-    channel = result.mission[axis]
+    key = _CHANNELS.get(mode, "")
+    if key not in result.mission:
+        known = ", ".join(m for m, name in _CHANNELS.items() if name in result.mission)
+        raise CalibrationRefused(f"Mode must be one that the result calibrates ({known}), but got {mode!r}.")
+    channel = result.mission[key]
+    volts = _nominal_volts(result, campaign, key) if channel.unit == "V" else 1.0
     variance = channel.covariance / volts**2
     if not (math.isfinite(channel.bias_v) and math.isfinite(channel.volts_per_rad_s) and math.isfinite(float(variance.sum()))):
-        raise CalibrationRefused(f"Estimate must be finite, but got bias {channel.bias_v!r} V and {channel.volts_per_rad_s!r} V/(rad/s).")
+        found = f"bias {channel.bias_v!r} {channel.unit} and {channel.volts_per_rad_s!r} {channel.unit}/(rad/s)"
+        raise CalibrationRefused(f"Estimate must be finite, but got {found}.")
     temperatures = [t for r in campaign for t in (float(r.temperature_degc.min()), float(r.temperature_degc.max()))]
     record = CalibrationRecord(
         record_id="pending",
@@ -64,7 +65,7 @@ def record_from_result(
         bias=Quantity(channel.bias_v / volts, math.sqrt(variance[0, 0]), "rad/s"),
         scale_factor=Quantity(channel.volts_per_rad_s / volts, math.sqrt(variance[1, 1]), "1"),
         bias_scale_covariance=float(variance[0, 1]),
-        rate_noise_density=result.rate_noise_density[axis],
+        rate_noise_density=result.rate_noise_density[key],
         rate=result.rate,
         temperature_degc=Quantity(result.temperature_degc, result.temperature_sd_k, "degC"),
         bias_by_axis=dict(result.bias),
@@ -92,6 +93,14 @@ def record_from_result(
         },
     )
     return record.with_new_id()
+
+
+def _nominal_volts(result: CalibrationResult, campaign: Campaign, axis: str) -> float:
+    """What the firmware divides the rate channel by at the amplitude of the result [V/(rad/s)]."""
+    nominal = campaign.factory.get("nominal_scale_factor_v_per_rad_s")
+    if not isinstance(nominal, dict) or axis not in nominal:
+        raise CalibrationRefused(f"Factory data must hold nominal_scale_factor_v_per_rad_s for {axis!r}, but got {nominal!r}.")
+    return float(nominal[axis]) * result.amplitude_v / float(campaign.factory.get("nominal_amplitude_v", result.amplitude_v))
 
 
 def _fingerprint(campaign: Campaign) -> str:

@@ -1,20 +1,21 @@
-"""The rate in the mission: the calibrated slow flow inverted row by row (document 000, "determine the angular rate of the gyroscope during a
-mission based on Equations 3, 4, 7 and 8"), following the operating point away from where it was calibrated.
+"""The rate in the mission: the calibrated slow flow inverted row by row (document 000, "determine the angular rate of the gyroscope during
+a mission based on Equations 3, 4, 7 and 8"), following the operating point away from where it was calibrated.
 
-With everything about the frequency omega0 of the calibration, s = omega/omega0 and p = V - E u, theory.md Eq. 3 reads, second order in 1/omega
-kept as in :mod:`gyro_calib.estimation.projection`,
+With everything about the frequency omega0 of the calibration, s = omega/omega0 and p = V - E u, theory.md Eq. 3 reads, second order in
+1/omega kept as in :mod:`gyro_calib.estimation.projection`,
 
     s p' + i delta p = (d s Re A~ + i Im A~) p + Omega s A1 p + g G h u + c |V|^2 V,       A~: A at rest, freed of the pick-off phase,
 
-and the row of the closed axis gives Omega: the document's Eq. 8 with its "tight secondary feedback loop V_y = 0" replaced by the V_y that was
-measured. What the operating point does to it:
+and the row of the closed axis gives Omega: the document's Eq. 8 with its "tight secondary feedback loop V_y = 0" replaced by the V_y that
+was measured. What the operating point does to it:
 
-amplitude    p is measured; nothing assumes the set point. Cubic terms c count with the square that is there.
-frequency    s on the Coriolis force and on the damping (the scale factor goes with omega); h, the converter hold at omega.
-damping      d, from the power balance of the oscillator: what its drive now puts in against what the calibration says it takes. D is taken to
-             scale as a whole, and the share that need not is in the variance.
-gain         g of drive and pick-off together: not observable in the mission (d and g enter the oscillator as d/g). It follows a known
-             coefficient per kelvin, or stays 1, and its uncertainty grows with the distance in temperature.
+* amplitude: p is measured; nothing assumes the set point. Cubic terms c count with the square that is there.
+* frequency: s on the Coriolis force and on the damping (the scale factor goes with omega); h, the converter hold at omega.
+* damping: d, from the power balance of the oscillator: what its drive now puts in against what the calibration says it takes. D is taken
+  to scale as a whole, and the share that need not is in the variance.
+* gain: g of drive and pick-off together is not observable in the mission (d and g enter the oscillator as d/g). It follows a known
+  coefficient per kelvin, or stays 1; an error of g then costs scale factor but no bias, and its uncertainty grows with the distance in
+  temperature.
 """
 
 from __future__ import annotations
@@ -139,7 +140,8 @@ def mission_rate(recording: Recording, record: CalibrationRecord, *, drifts: Dri
 def _check(recording: Recording, record: CalibrationRecord) -> None:
     if recording.device_id != record.device_id:
         raise DataError(
-            f"Record must belong to device {recording.device_id!r}, but got {record.record_id!r} of {record.device_id!r}. Load its own record."
+            f"Record must belong to device {recording.device_id!r}, but got {record.record_id!r} of {record.device_id!r}. "
+            "Load its own record."
         )
     if recording.command.oscillator_axis is None:
         raise DataError(f"Mode must be ftr_x or ftr_y for a rebalanced rate, but got {recording.command.mode!r}.")
@@ -170,7 +172,8 @@ class _Flow:
             scales = record.scale_factor_by_axis["x"].value * record.scale_factor_by_axis["y"].value
         except KeyError as error:
             raise DataError(
-                f"Record {record.record_id!r} must hold the slow flow of a side-band calibration, but lacks {error.args[0]}. Calibrate again."
+                f"Record {record.record_id!r} must hold the slow flow of a side-band calibration, but lacks {error.args[0]}. "
+                "Calibrate again."
             ) from error
         kappa = math.sqrt(abs(scales * G[0, 0] * G[1, 1])) / amplitude
         response = angular_response(frame, kappa)
@@ -187,7 +190,7 @@ def _matrix(values: dict[str, float], name: str) -> ComplexArray:
 
 @dataclass(frozen=True)
 class _Terms:
-    """Each term of the slow flow at every row, both axes, shape (n, 2); ``turn`` per rad/s of rate, ``unit`` makes a rate of the closed axis'."""
+    """Each term of the slow flow at every row, both axes, shape (n, 2); ``turn`` per rad/s; ``unit`` makes a rate of the closed axis'."""
 
     moved: ComplexArray
     slope: ComplexArray

@@ -198,8 +198,8 @@ class RecordStore:
             return
         if present and FACTORY_FORMAT in present[:400]:
             raise StoreError(
-                f"Store {self.path} must hold field calibrations, but holds the factory record, which a field calibration never overwrites. "
-                "Choose another URL."
+                f"Store {self.path} must hold field calibrations, but holds the factory record, which a field calibration never "
+                "overwrites. Choose another URL."
             )
         try:
             owner = parse_record(present or "").device_id

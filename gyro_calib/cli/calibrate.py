@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--factory-record",
         metavar="URL",
         default="",
-        help="factory record (see gyro-calib factory) whose kappa and rate correction count; none: leave it; else $ROS_HOME/gyro_calib if there",
+        help="factory record (see gyro-calib factory) whose kappa and rate correction count; none: leave it; else the one in $ROS_HOME",
     )
     parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
     parser.add_argument("--device-id", metavar="ID", help="identity of the unit, for a bag that lacks it")
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _with_factory(campaign: Campaign, url: str) -> Campaign:
     """What the factory's rate table found, where it was stored."""
-    from ..calibration.factory_record import FactoryStore, with_factory_record
+    from ..calibration import FactoryStore, with_factory_record
     from ..errors import StoreError
 
     if url == "none":

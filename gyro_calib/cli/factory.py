@@ -1,7 +1,7 @@
 """Factory calibration on a rate table: Bryant factor, pick-off frame, mounting, fixed rate difference.
 
-RECORDING holds table runs (attribute applied_rate) with each axis as the oscillator and a self-calibration at rest: record the plan `factory`, or
-give your own logger's files. The record is stored apart from field calibrations, which read it and never write it.
+RECORDING holds table runs (attribute applied_rate) with each axis as the oscillator and a self-calibration at rest: record the plan
+`factory`, or give your own logger's files. The record is stored apart from field calibrations, which read it and never write it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, estimate, report, store."""
-    from ..calibration.factory_record import FactoryStore, factory_record_from_result
+    from ..calibration import FactoryStore, factory_record_from_result
     from ..estimation.factory import calibrate_factory
     from ..quantity import Quantity
     from ..recording.load import load_campaign

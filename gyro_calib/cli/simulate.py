@@ -11,7 +11,9 @@ from .console import non_negative_int, progress_bar, say
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("device", metavar="DEVICE", help="device description: a YAML file, or the name of a packaged one (ring_15k)")
-    parser.add_argument("--plan", required=True, metavar="PLAN", help="what to do: self_calibrate, sideband, feedthrough, static")
+    parser.add_argument(
+        "--plan", required=True, metavar="PLAN", help="self_calibrate, sideband, cubic, feedthrough, static; bench: factory, pickoff_phase"
+    )
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="directory for the recordings")
     parser.add_argument(
         "--seed", type=non_negative_int, metavar="N", help="draw a unit of the design and its noise; without it the design itself"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import time
 from pathlib import Path
@@ -60,6 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     if not arguments.no_sim:
         load_device(arguments.device)  # a wrong name is said at once, not by a node that ends
+    # a shell starts what it puts into the background with SIGINT ignored, and a supervisor ends it by SIGTERM: both end the nodes in order
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     parameters = node_parameters(arguments.device, arguments.seed, arguments.realtime_factor)
     wanted = {name: module for name, module in NODES.items() if not (arguments.no_sim and name == "gyro_sim")}
     width = max(map(len, wanted))

@@ -84,9 +84,9 @@ class PickoffChain:
     cubic_per_v2 : float
         Pick-off nonlinearity: ``V (1 + cubic_per_v2 V^2)`` on each channel [1/V^2].
     gap_amplitude_v : float
-        Volts that the linear x pick-off would give at a displacement of the whole gap, ``gain d``; 0: linear. A capacitance ~ 1/(d - z) less its
-        value at rest gives ``V = V_lin / (1 - V_lin / V_gap)``: lines at 2 and 3 times the carrier, each by the same factor q below the
-        one before, with ``a/d = 2 q/(1 + q^2)`` (document 000, Trusov-Shkel).
+        Volts that the linear x pick-off would give at a displacement of the whole gap, ``gain d``; 0: linear. A capacitance ~ 1/(d - z)
+        less its value at rest gives ``V = V_lin / (1 - V_lin / V_gap)``: lines at 2 and 3 times the carrier, each by the same factor q
+        below the one before, with ``a/d = 2 q/(1 + q^2)`` (document 000, Trusov-Shkel).
     gap_mismatch : float
         Relative excess of the y gap; with equal gaps the y pick-off has ``V_gap,y = r V_gap,x``.
     """

@@ -2,13 +2,13 @@
 
 A flat electrode faces the lip of the shell. Tilt of the assembly makes its gap uneven, eccentricity turns the electrodes against the modes,
 the resistance of the metal film lowers the bias where leakage flows, and the circuits differ in gain and leak into each other. Together
-they are the matrix of :class:`~gyro_calib.device.DriveChain`: ``G [[1, tan 2delta - tan 2lambda], [tan 2delta + tan 2lambda, 1 + Delta G]]``.
+they are the matrix of :class:`~gyro_calib.device.DriveChain`:
+``G [[1, tan 2delta - tan 2lambda], [tan 2delta + tan 2lambda, 1 + Delta G]]``.
 
 The document evaluates the gap at the middle of an electrode and drops products of small quantities (:func:`first_order_unbalance`); the
 matrix of :func:`drive_matrix` integrates over the electrode and drops nothing but the feedback of the motion on the force. They differ to
-first order too: across an electrode of finite span the force is smaller by ``sin(span) / span``, and a tilt moves its centre, which turns
-the drive of each channel by ``span^2 sigma R sin(beta - beta_sigma) / (6 d)``: 2 lambda gains the mean of the two, 2 delta half their
-difference.
+first order too: across an electrode of finite span the force is smaller by ``sin(span) / span``, and a tilt moves its centre, as if turning
+the electrode by ``span^2 sigma R sin(beta - beta_sigma) / (6 d)``: 2 lambda gains the sum over the two channels, 2 delta their difference.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def first_order_unbalance(geometry: ElectrodeGeometry, assembly: Assembly, circu
     """The document's model in closed form: gap at the middle of each electrode, products of errors dropped (Eqs. 9, 12-21).
 
     Where the document takes one lambda for both channels, eccentricity turns them by ``lambda_X`` and ``lambda_Y``: their sum is 2 lambda,
-    half of twice their difference adds to 2 delta.
+    their difference adds to 2 delta.
     """
     g, bias = geometry, circuit.bias_at_lip_v
     turns = [assembly.electrode_azimuth(at, g.radius_m) - at for at in (X_AZIMUTH_RAD, Y_AZIMUTH_RAD)]

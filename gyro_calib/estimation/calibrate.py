@@ -8,11 +8,14 @@ from ..errors import CalibrationRefused
 from ..recording.recording import Campaign
 from .result import CalibrationResult
 from .sideband import calibrate_sideband
+from .whole_angle import calibrate_whole_angle
 
 __all__ = ["METHODS", "calibrate"]
 
-#: method -> (operating modes that it needs, estimator)
+#: method -> (operating modes that it needs, estimator); the first that fits is taken, so the one of more modes comes first where both fit:
+#: a whole-angle campaign may hold force-to-rebalance stretches too, and uses them
 METHODS: dict[str, tuple[tuple[str, ...], Callable[..., CalibrationResult]]] = {
+    "virtual_precession": (("whole_angle",), calibrate_whole_angle),
     "sideband": (("ftr_x", "ftr_y"), calibrate_sideband),
 }
 

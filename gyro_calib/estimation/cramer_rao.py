@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..device import Device
 from ..recording.recording import Recording
 
-__all__ = ["device_noise_density", "slow_flow_bound"]
+__all__ = ["device_noise_density", "resonance_wander_density", "slow_flow_bound"]
 
 FloatArray = NDArray[np.float64]
 
@@ -38,6 +38,21 @@ def device_noise_density(device: Device, temperature_degc: float) -> Callable[[f
     return density
 
 
+def resonance_wander_density(device: Device) -> Callable[[float], float]:
+    """Two-sided density of the resonance's wander with temperature [(rad/s)^2/Hz] by frequency [Hz] (Ornstein-Uhlenbeck).
+
+    The oscillator carries it: times its amplitude it is noise of the 90-degree part of its own equation, far above the white part.
+    """
+    resonator, surroundings = device.resonator, device.environment
+    variance = (surroundings.wander_k * resonator.frequency_tempco_per_k * resonator.omega0_rad_s) ** 2
+
+    def density(frequency_hz: float) -> float:
+        corner = 2.0 * math.pi * frequency_hz * surroundings.wander_time_s
+        return 2.0 * variance * surroundings.wander_time_s / (1.0 + corner**2)
+
+    return density
+
+
 def slow_flow_bound(
     recordings: list[Recording],
     omega0_rad_s: float,
@@ -46,6 +61,7 @@ def slow_flow_bound(
     has_feedthrough: bool,
     bodies: list[float],
     wander_rad_s: float,
+    wander_density: Callable[[float], float],
 ) -> FloatArray:
     """Covariance bound of the parameter vector of :class:`.slow_flow_fit.SlowFlowEstimate` (without cubic terms), shape (n, n).
 
@@ -61,8 +77,12 @@ def slow_flow_bound(
         As in the fit: E is an unknown; body frequencies [Hz].
     wander_rad_s : float
         Standard deviation of the resonance between records: how well an open drive's distance from it can be known.
+    wander_density : callable
+        Its density inside a record [(rad/s)^2/Hz], taken at the side band.
     """
-    blocks = [_axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies, wander_rad_s) for axis in range(2)]
+    blocks = [
+        _axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies, wander_rad_s, wander_density) for axis in range(2)
+    ]
     size = blocks[0].shape[0]
     bound = np.zeros((2 * size, 2 * size))
     bound[:size, :size], bound[size:, size:] = blocks
@@ -77,6 +97,7 @@ def _axis_bound(
     has_feedthrough: bool,
     bodies: list[float],
     wander: float,
+    wander_density: Callable[[float], float],
 ) -> FloatArray:
     count = 2 * (4 + 2 * int(has_feedthrough) + len(bodies))
     closed = "yx"[axis]
@@ -101,8 +122,12 @@ def _axis_bound(
             real[: len(r), own], real[len(r) :, own] = -r.pick[:, axis].imag, r.pick[:, axis].real
             if r.command.oscillator_axis is None:
                 information[own, own] += 1.0 / wander**2
-        weight = 1.0 / (density(float(detuning.mean())) * r.sample_rate_hz)
-        information += weight * real.T @ real
+        white = density(float(detuning.mean()))
+        ninety = white
+        if excitation.kind == "amplitude_modulation" and r.command.oscillator_axis == "xy"[axis]:
+            ninety += float(np.mean(np.abs(r.pick[:, axis]) ** 2)) * wander_density(excitation.frequency_hz)
+        for part, level in ((real[: len(r)], white), (real[len(r) :], ninety)):
+            information += part.T @ part / (level * r.sample_rate_hz)
     scale = np.sqrt(np.diag(information))
     inverse = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
     if not math.isfinite(float(inverse.sum())):

@@ -1,9 +1,10 @@
 """Regress the slow flow with a known input rate: A at rest, G, E and A1 = dA/dOmega (document 000, "with known input rate the estimator may
 determine the Bryant factor").
 
-theory.md Eq. 4 is linear in the rate, ``A + Omega(t) A1`` with ``A1 = -kappa P J P^-1``, so a table run adds two regressors to the projected equations
-of :mod:`.projection`: ``Omega p`` (p = V - E u; E comes from a first round) and, because a table's clock and its edges are never quite the
-recorder's, ``Omega' p`` with coefficients of its own, which takes up a shift in time. Any mode serves: the equations are the same.
+theory.md Eq. 4 is linear in the rate, ``A + Omega(t) A1`` with ``A1 = -kappa P J P^-1``, so a table run adds two regressors to the
+projected equations of :mod:`.projection`: ``Omega p`` (p = V - E u; E comes from a first round) and, because a table's clock and its edges
+are never quite the recorder's, ``Omega' p`` with coefficients of its own, which takes up a shift in time. Any mode serves: the equations
+are the same.
 
 Each axis about which the table turned the case has its own A1 (the sense axis' component along it); away from the first one the constant
 rate is another (the earth's turns with the mounting), so those runs have an A of their own.
@@ -21,20 +22,17 @@ from scipy.stats import f as f_distribution
 from ..errors import CalibrationRefused
 from ..recording.applied_rate import applied_rate, table_axis
 from ..recording.recording import Recording
-from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noise
+from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis
 from .projection import Projected, project, test_functions
+from .rate_table_lines import measured_noise, quiet_lines_of, resonance_shift, role_of, signal_lines_of, wander_of
 
 __all__ = ["RateTableFit", "fit_rate_table"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-#: highest line of a record whose signals move by themselves (table run, whole angle) [Hz], and most lines of one
-_TOP_HZ, _MOST_LINES = 1.5, 16
 _ROUNDS = 2
 #: real cubic parameters of both axes
 _CUBIC_TERMS = 8
-#: least wander of the resonance from record to record [rad/s]: a millikelvin of silicon at 15 kHz
-_WANDER_RAD_S = 2.5e-3
 
 
 @dataclass(frozen=True)
@@ -160,13 +158,13 @@ class _Data:
             recordings=recordings,
             axes=np.array(axes),
             omega0=omega0,
-            wander_rad_s=_wander(recordings),
+            wander_rad_s=wander_of(recordings),
             has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
             bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
-            signal=[project(r, _lines(r), omega0, decay_rate) for r in recordings],
-            quiet=[project(r, _quiet_lines(r), omega0, decay_rate) for r in recordings],
-            turned=[_Turned.of(r, _lines(r)) for r in recordings],
-            quiet_turned=[_Turned.of(r, _quiet_lines(r)) for r in recordings],
+            signal=[project(r, signal_lines_of(r), omega0, decay_rate) for r in recordings],
+            quiet=[project(r, quiet_lines_of(r), omega0, decay_rate) for r in recordings],
+            turned=[_Turned.of(r, signal_lines_of(r)) for r in recordings],
+            quiet_turned=[_Turned.of(r, quiet_lines_of(r)) for r in recordings],
         )
 
     def fit(self, E: ComplexArray, *, cubic: bool) -> list[LinearFit]:
@@ -179,17 +177,17 @@ class _Data:
 
     def _fit(self, columns: list[ComplexArray], noise: list[ComplexArray], axis: int) -> LinearFit:
         """One axis; the noise is measured on the quiet lines of the recordings of each role."""
-        roles = [_role(r, axis, self.omega0) for r in self.recordings]
+        roles = [role_of(r, axis, self.omega0) for r in self.recordings]
         models = {(role, part): NoiseModel((1.0, 0.0, 0.0), 0.01) for role in roles for part in ("re", "im")}
         for turn in range(_ROUNDS + 1):
             equations = []
             for p, c, role in zip(self.signal, columns, roles, strict=True):
-                detuning, detuning_sd = _shift(p, role, axis, self.wander_rad_s)
+                detuning, detuning_sd = resonance_shift(p, role, axis, self.wander_rad_s)
                 sd_re, sd_im = (np.sqrt(models[role, part].density(p.frequency_hz)) for part in ("re", "im"))
                 equations.append(Equation(p.lhs[:, axis], c, p.gram, sd_re, sd_im, detuning, detuning_sd))
             fit = fit_axis(equations)
             if turn < _ROUNDS:
-                models = _measured(self.recordings, self.quiet, noise, roles, axis, fit.coefficients)
+                models = measured_noise(self.recordings, self.quiet, noise, roles, axis, fit.coefficients)
         return fit
 
     def _columns(self, p: Projected, turned: _Turned | None, recording: Recording, E: ComplexArray, *, cubic: bool) -> ComplexArray:
@@ -233,78 +231,3 @@ def _block(fits: list[LinearFit], first: int) -> FloatArray:
     for axis, fit in enumerate(fits):
         out[4 * axis : 4 * axis + 4, 4 * axis : 4 * axis + 4] = fit.covariance[2 * first : 2 * first + 4, 2 * first : 2 * first + 4]
     return out
-
-
-def _wander(recordings: list[Recording]) -> float:
-    """How far the resonance wanders between records [rad/s]: scatter of the reference frequency of equal commands."""
-    groups: dict[tuple[str, float], list[float]] = {}
-    for r in recordings:
-        if r.command.oscillator_axis:
-            groups.setdefault((r.command.mode, r.command.setpoints.amplitude_v), []).append(float(r.ref_omega_rad_s.mean()))
-    squares = sum(len(g) * float(np.var(g)) for g in groups.values())
-    spare = sum(len(g) - 1 for g in groups.values())
-    return max(_WANDER_RAD_S, math.sqrt(squares / spare) if spare > 0 else 0.0)
-
-
-def _measured(
-    recordings: list[Recording],
-    quiet: list[Projected],
-    columns: list[ComplexArray],
-    roles: list[str],
-    axis: int,
-    coefficients: ComplexArray,
-) -> dict[tuple[str, str], NoiseModel]:
-    models = {}
-    for role in set(roles):
-        own = [i for i, r in enumerate(roles) if r == role]
-        left = np.concatenate([quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in own])
-        lines = np.concatenate([quiet[i].frequency_hz for i in own])
-        lowest = 0.3 / max(recordings[i].duration_s for i in own)
-        models[role, "re"] = fit_noise(lines, left.real**2, lowest)
-        models[role, "im"] = fit_noise(lines, left.imag**2, lowest)
-    return models
-
-
-def _shift(p: Projected, role: str, axis: int, wander_rad_s: float) -> tuple[ComplexArray | None, float]:
-    """Where p is not held at zero, the resonance of each recording is its own (``i lambda p``): free and moving steadily when a loop follows it,
-    within its wander when an open drive stands beside it."""
-    if role in ("oscillator", "wave"):
-        return np.column_stack([p.pick[:, axis], p.drift[:, axis]]), math.inf
-    return (p.pick[:, axis : axis + 1], wander_rad_s) if role.startswith("open") else (None, math.inf)
-
-
-def _role(recording: Recording, axis: int, omega0: float) -> str:
-    """Recordings of one role share their noise: the pick-off's part of it grows with the distance from resonance."""
-    oscillator = recording.command.oscillator_axis
-    if oscillator is None:
-        distance = abs(recording.command.excitation.frequency_hz - omega0 / (2.0 * math.pi))
-        return f"open at {distance:.0f} Hz" if recording.command.mode == "loops_off" else "wave"
-    return "oscillator" if oscillator == AXES[axis] else "closed"
-
-
-def _moves(recording: Recording) -> bool:
-    """Whether the signals hold more than what a modulation put there."""
-    return "applied_rate" in recording.extras or recording.command.mode in ("whole_angle", "ring_down", "ring_up", "stiffness")
-
-
-def _lines(recording: Recording) -> list[float]:
-    if _moves(recording):
-        step = 1.0 / recording.duration_s
-        count = min(_MOST_LINES, int(_TOP_HZ / step))
-        return [step * k for k in range(count + 1)]
-    excitation = recording.command.excitation
-    return [0.0, excitation.frequency_hz] if excitation.kind.endswith("modulation") else [0.0]
-
-
-def _quiet_lines(recording: Recording) -> list[float]:
-    """Lines of which only noise is expected once the model is taken away."""
-    step = 1.0 / recording.duration_s
-    top = min(max(4.0, 8.0 * step), 0.2 * recording.sample_rate_hz)
-    if _moves(recording):
-        return [float(f) for f in np.linspace(_TOP_HZ + 2.0 * step, _TOP_HZ + top, 20)]
-    candidates = np.geomspace(1.8 * step, top, 24)
-    excitation = recording.command.excitation
-    if excitation.kind.endswith("modulation"):
-        busy = np.arange(1, 8) * excitation.frequency_hz
-        candidates = np.array([f for f in candidates if np.min(np.abs(busy - f)) > 1.7 * step])
-    return [float(f) for f in candidates]

@@ -17,19 +17,22 @@ __all__ = ["CalibrationResult", "ConvergencePoint", "MissionChannel"]
 
 @dataclass(frozen=True)
 class MissionChannel:
-    """``rate_raw`` of one oscillator axis as the device runs: volts = ``volts_per_rad_s`` Omega + ``bias_v``.
+    """``rate_raw`` of one mission mode as the device runs: volts = ``volts_per_rad_s`` Omega + ``bias_v``.
 
     Parameters
     ----------
     bias_v, volts_per_rad_s : float
-        Of the rebalance drive in phase with velocity [V], [V/(rad/s)].
+        Of the rebalance drive in phase with velocity [V], [V/(rad/s)]; of a whole-angle gyro, whose rate has no volts, [rad/s] and 1.
     covariance : ndarray, shape (2, 2)
         Of (bias_v, volts_per_rad_s).
+    unit : str
+        Of the channel: ``"V"``, or ``"rad/s"`` (whole angle).
     """
 
     bias_v: float
     volts_per_rad_s: float
     covariance: NDArray[np.float64]
+    unit: str = "V"
 
 
 @dataclass(frozen=True)
@@ -54,11 +57,12 @@ class CalibrationResult:
         By oscillator axis, of the feedthrough-free sensor (theory.md Eq. 7, p_y = 0): bias [rad/s], scale factor [V/(rad/s)] at
         ``amplitude_v``. With non-orthogonal pick-offs and drive couplings the slope of a real rate channel differs from Eq. 7 by their
         product (tens of ppm): ``mission`` holds it.
-    mission : mapping of {"x", "y"} to MissionChannel
+    mission : mapping of {"x", "y", "whole_angle"} to MissionChannel
         The same as the device runs: pick-off volts, feedthrough and phase error included, held where its loops hold them.
+        ``"whole_angle"``: mean over the azimuth, latency of the loops included.
     parameters : mapping of str to Quantity
         As named in theory.md.
-    rate_noise_density : mapping of {"x", "y"} to Quantity
+    rate_noise_density : mapping of {"x", "y", "whole_angle"} to Quantity
         White rate noise, one-sided [rad/s/sqrt(Hz)].
     condition_number : float
     chi2_per_dof : float
@@ -98,8 +102,10 @@ class CalibrationResult:
             "scale_factor": {k: q.to_json() for k, q in self.scale_factor.items()},
             "rate_channel": {
                 k: {
-                    "bias": Quantity(m.bias_v, float(np.sqrt(m.covariance[0, 0])), "V").to_json(),
-                    "scale_factor": Quantity(m.volts_per_rad_s, float(np.sqrt(m.covariance[1, 1])), "V/(rad/s)").to_json(),
+                    "bias": Quantity(m.bias_v, float(np.sqrt(m.covariance[0, 0])), m.unit).to_json(),
+                    "scale_factor": Quantity(
+                        m.volts_per_rad_s, float(np.sqrt(m.covariance[1, 1])), "V/(rad/s)" if m.unit == "V" else "1"
+                    ).to_json(),
                 }
                 for k, m in self.mission.items()
             },

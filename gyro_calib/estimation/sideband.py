@@ -124,8 +124,8 @@ class SidebandProblem:
     def derive(self, vector: FloatArray, nuisance: FloatArray) -> _Derived:
         """Rate, bias, scale factors, … of a parameter vector; ``nuisance`` are the priors' means in standard deviations.
 
-        The rate is the true one: what the reciprocity finds less the fixed difference that the factory saw (document 000, "an estimated fixed
-        difference between the two rates may be applied to subsequent calibrations in the field").
+        The rate is the true one: what the reciprocity finds less the fixed difference that the factory saw (document 000, "an estimated
+        fixed difference between the two rates may be applied to subsequent calibrations in the field").
         """
         kappa = self.kappa + self.kappa_sd * nuisance[5]
         v = self.fit.unpack(vector)

@@ -1,26 +1,26 @@
-"""Absolute amplitude from the pick-off's own nonlinearity (document 000: "driving the ring to large amplitudes and comparing side lobes to the
-principal excitation peak, a technique known as Trusov-Shkel").
+"""Absolute amplitude from the pick-off's own nonlinearity (document 000: "driving the ring to large amplitudes and comparing side lobes to
+the principal excitation peak, a technique known as Trusov-Shkel").
 
 A capacitance ~ 1/(d - z) less its value at rest gives ``V = V_gap s cos(phi) / (1 - s cos(phi))`` for a motion of amplitude a = s d. With
 ``q = s / (1 + sqrt(1 - s^2))`` its Fourier series is geometric,
 
     1/(1 - s cos phi) = (1 + 2 sum_n q^n cos(n phi)) / sqrt(1 - s^2),   H_n = V_gap 2 q^n / sqrt(1 - s^2),
 
-so H2/H1 = H3/H2 = q and s = 2 q/(1 + q^2): the motion in units of the gap, free of every gain. The principal line then gives the gap in volts
-of that pick-off, ``V_gap = P d = H1 (1 - q^2) / (2 q (1 + q^2))``, and with equal gaps V_gap,y / V_gap,x is the relative pick-off magnitude.
+so H2/H1 = H3/H2 = q and s = 2 q/(1 + q^2): the motion in units of the gap, free of every gain. The principal line then gives the gap in
+volts of that pick-off, ``V_gap = P d = H1 (1 - q^2) / (2 q (1 + q^2))``, and with equal gaps V_gap,y / V_gap,x is the relative pick-off
+magnitude.
 
 What else makes such lines: a converter's own quadratic term adds to H2/H1 in proportion to H1 just as the gap does, but not to H3/H2 (the
 chi-square of the two together tells); harmonics that are a fixed share of the carrier stay when the amplitude changes (three amplitudes
 separate them). An electronics gain at 2 omega other than at omega scales V_gap; where it is alike on both axes it cancels in the ratio.
 
-Phase: H2's against twice H1's is phi_e(2 omega) - 2 phi_e(omega) of the electronics, zero for any pure delay. Each axis sees its own motion only,
-so the relative pick-off phase eps is NOT in these lines; take it from the body excitation (:mod:`.separation`).
+Phase: H2's against twice H1's is phi_e(2 omega) - 2 phi_e(omega) of the electronics, zero for any pure delay. Each axis sees its own motion
+only, so the relative pick-off phase eps is NOT in these lines; take it from the body excitation (:mod:`.separation`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,17 +31,13 @@ from scipy.stats import chi2 as chi2_distribution
 
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
-from ..recording.demodulate import reference_phase
 from ..recording.recording import Campaign, Recording
+from .gap_lines import GapLines, amplitude_in_gaps, measure_lines, ratio_of_lines
 
-__all__ = ["AxisGap", "TrusovShkelResult", "amplitude_in_gaps", "estimate_trusov_shkel", "ratio_of_lines"]
+__all__ = ["AxisGap", "TrusovShkelResult", "estimate_trusov_shkel"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_HARMONICS = 4
-#: segments whose scatter gives the noise
-_SEGMENTS = 16
-_LEAST_SAMPLES = 256
 #: how equal two gaps of one ring are taken to be, relative (engineering estimate: etched in one step; not fitted to any device)
 GAP_EQUALITY = 1e-3
 #: feedthrough of a chain that nobody measured (engineering estimate): its share of the principal line is |E u|/|V|
@@ -111,22 +107,6 @@ class TrusovShkelResult:
         }
 
 
-def ratio_of_lines(principal_over_gap: FloatArray) -> FloatArray:
-    """q of ``H1/V_gap = 2 q (1 + q^2) / (1 - q^2)``, odd in its argument, by Newton's method; shape as the argument."""
-    h = np.asarray(principal_over_gap, dtype=float)
-    q = 0.5 * h / np.sqrt(1.0 + h * h)
-    for _ in range(20):
-        value = 2.0 * q * (1.0 + q * q) / (1.0 - q * q) - h
-        slope = 2.0 * (1.0 + 4.0 * q * q - q**4) / (1.0 - q * q) ** 2
-        q = np.clip(q - value / slope, -0.999, 0.999)
-    return np.asarray(q)
-
-
-def amplitude_in_gaps(q: FloatArray | float) -> FloatArray:
-    """s = a/d = 2 q / (1 + q^2)."""
-    return np.asarray(2.0 * np.abs(q) / (1.0 + np.square(q)))
-
-
 def estimate_trusov_shkel(
     campaign: Campaign, *, feedthrough: ComplexArray | None = None, gap_equality: float = GAP_EQUALITY
 ) -> TrusovShkelResult:
@@ -150,12 +130,14 @@ def estimate_trusov_shkel(
     axes: dict[str, AxisGap] = {}
     warnings: list[str] = []
     for axis in "xy":
-        recordings = [r for r in campaign if r.command.oscillator_axis == axis and r.raw is not None and r.command.excitation.kind == "none"]
+        recordings = [
+            r for r in campaign if r.command.oscillator_axis == axis and r.raw is not None and r.command.excitation.kind == "none"
+        ]
         if not recordings:
             raise CalibrationRefused(
                 f"Campaign must hold raw recordings with {axis} as the oscillator, but got none. Record the plan pickoff_phase."
             )
-        lines = [_lines(r, axis, campaign.factory, feedthrough) for r in recordings]
+        lines = [measure_lines(r, axis, campaign.factory, feedthrough) for r in recordings]
         axes[axis], said = _gap(axis, lines, 0.0 if feedthrough is not None else FEEDTHROUGH * _effort(recordings, axis))
         warnings += said
     if feedthrough is None:
@@ -173,49 +155,6 @@ def estimate_trusov_shkel(
     )
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """Lines of one recording: principal [V], second and third over it (real: in the phase of the gap's), phase excess; with their sd."""
-
-    principal: float
-    second: Quantity
-    third: Quantity
-    excess: Quantity
-
-
-def _lines(recording: Recording, axis: str, factory: Mapping[str, Any], feedthrough: ComplexArray | None) -> _Lines:
-    assert recording.raw is not None
-    phase, sound = reference_phase(recording, factory=factory)
-    volts, phase = recording.raw[f"{axis}_pick"][sound], phase[sound]
-    length = volts.size // _SEGMENTS
-    if length < _LEAST_SAMPLES:
-        raise CalibrationRefused(
-            f"Raw block of {recording.label!r} must hold {_SEGMENTS * _LEAST_SAMPLES} samples where the reference is sound, but got "
-            f"{volts.size}. Record longer."
-        )
-    parts = np.array([_amplitudes(volts[i * length : (i + 1) * length], phase[i * length : (i + 1) * length]) for i in range(_SEGMENTS)])
-    if feedthrough is not None and len(recording):
-        row = "xy".index(axis)
-        parts[:, 0] -= feedthrough[row] @ recording.drive.mean(axis=0)
-    unit = parts[:, 0] / np.abs(parts[:, 0])
-    second = parts[:, 1] / unit**2 / np.abs(parts[:, 0])
-    third = (parts[:, 2] / unit**3 / np.abs(parts[:, 0])).real
-    turn = second.imag / max(abs(float(second.real.mean())), 1e-300) * math.copysign(1.0, float(second.real.mean()))
-    return _Lines(float(np.abs(parts[:, 0]).mean()), _mean(second.real, "1"), _mean(third, "1"), _mean(turn, "rad"))
-
-
-def _mean(values: FloatArray, unit: str) -> Quantity:
-    return Quantity(float(values.mean()), float(values.std(ddof=1)) / math.sqrt(values.size), unit)
-
-
-def _amplitudes(volts: FloatArray, phase: FloatArray) -> ComplexArray:
-    """Complex amplitudes of the harmonics 1 to 4 of one segment, a constant taken along; linear least squares."""
-    angles = np.arange(1, _HARMONICS + 1)[:, None] * phase
-    design = np.vstack([np.ones_like(phase), np.cos(angles), -np.sin(angles)]).T
-    solution = np.linalg.solve(design.T @ design, design.T @ volts)
-    return np.asarray(solution[1 : _HARMONICS + 1] + 1j * solution[_HARMONICS + 1 :])
-
-
 def _effort(recordings: list[Recording], axis: str) -> float:
     """Largest |u|/|V| of the recordings (0.2 when they hold no rows)."""
     rows = [r for r in recordings if len(r)]
@@ -223,7 +162,7 @@ def _effort(recordings: list[Recording], axis: str) -> float:
     return max(ratios, default=0.2)
 
 
-def _gap(axis: str, lines: list[_Lines], unsure: float) -> tuple[AxisGap, list[str]]:
+def _gap(axis: str, lines: list[GapLines], unsure: float) -> tuple[AxisGap, list[str]]:
     """Fit one gap, and from three amplitudes on a fixed share of each harmonic, to the lines of an axis.
 
     ``unsure`` is the relative standard deviation of the principal lines, common to all amplitudes.
@@ -254,9 +193,13 @@ def _gap(axis: str, lines: list[_Lines], unsure: float) -> tuple[AxisGap, list[s
     inverse_sd = math.hypot(math.sqrt(covariance[0, 0]), unsure * inverse)
     warnings = []
     if dof > 0 and reduced * dof > float(chi2_distribution.isf(1e-4, dof)):
-        warnings.append(f"{axis} pick-off: the lines leave chi-square/dof {reduced:.1f} against a gap's geometric law; another nonlinearity")
+        warnings.append(
+            f"{axis} pick-off: the lines leave chi-square/dof {reduced:.1f} against a gap's geometric law; another nonlinearity"
+        )
     if not spread:
-        warnings.append(f"{axis} pick-off: fewer than three amplitudes, harmonics in fixed proportion to the carrier are taken for the gap's")
+        warnings.append(
+            f"{axis} pick-off: fewer than three amplitudes, harmonics in fixed proportion to the carrier are taken for the gap's"
+        )
     steps = []
     for p in principal:
         q = ratio_of_lines(np.array([p * inverse, p * (inverse + inverse_sd)]))

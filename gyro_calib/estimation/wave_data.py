@@ -88,6 +88,12 @@ class WaveData:
             quiet.append(products.project(quiet_lines(r, max(lines), products.speed_rad_s)))
         return cls(recordings, omega0, wander, Layout.of(recordings, omega0), signal, quiet)
 
+    def subset(self, indices: list[int]) -> WaveData:
+        """The same for some of the recordings."""
+        recordings = [self.recordings[i] for i in indices]
+        signal, quiet = ([projected[i] for i in indices] for projected in (self.signal, self.quiet))
+        return WaveData(recordings, self.omega0, self.wander, Layout.of(recordings, self.omega0), signal, quiet)
+
     def solve(self, layout: Layout, noise: Noise, excess: Excess, before: LinearFit | None) -> LinearFit:
         """Weighted least squares; A and E of ``before`` enter the small corrections."""
         equations = []

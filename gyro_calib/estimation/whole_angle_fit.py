@@ -34,7 +34,7 @@ from .wave_layout import Layout
 from .wave_projection import in_wave_frame
 from .wave_terms import TERMS, Term
 
-__all__ = ["WholeAngleEstimate", "fit_whole_angle", "usable_wave_recordings"]
+__all__ = ["WholeAngleEstimate", "fit_wave_data", "fit_whole_angle", "usable_wave_recordings"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -140,7 +140,11 @@ def fit_whole_angle(
             "Recordings must include mode whole_angle, but got "
             f"{', '.join(sorted({r.command.mode for r in recordings})) or 'none'}. Record virtual precession of both senses."
         )
-    data = WaveData.of(recordings, decay_rate, drive_amplitude_v)
+    return fit_wave_data(WaveData.of(recordings, decay_rate, drive_amplitude_v), terms)
+
+
+def fit_wave_data(data: WaveData, terms: tuple[str, ...] | None = None) -> WholeAngleEstimate:
+    """:func:`fit_whole_angle` of recordings that are projected already."""
     if terms is not None:
         return _estimate(data, _fit(data, tuple(t for t in TERMS if t.name in terms)), {})
     return _selected(data)

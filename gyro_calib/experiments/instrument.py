@@ -24,8 +24,8 @@ class Instrument(Protocol):
 
     Notes
     -----
-    An instrument may have ``abilities``, a set of ``"applied_rate"`` and ``"raw"``; its ``record`` then takes ``applied_rate`` (how a table turns it
-    during the recording) and ``raw_s`` (seconds of converter samples to keep) by keyword. Without the attribute it has none.
+    An instrument may have ``abilities``, a set of ``"applied_rate"`` and ``"raw"``; its ``record`` then takes ``applied_rate`` (how a table
+    turns it during the recording) and ``raw_s`` (seconds of converter samples to keep) by keyword. Without the attribute it has none.
     """
 
     @property

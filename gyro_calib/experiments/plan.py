@@ -19,8 +19,8 @@ class Step:
     With ``detuning_hz`` the excitation's frequency is the resonance as last measured (the reference frequency of the latest closed-loop
     recording) plus this; units differ by more than the distance at which an open drive must stay from resonance.
 
-    ``applied_rate`` is how a rate table turns the gyro meanwhile (:mod:`gyro_calib.recording.applied_rate`), ``raw_s`` for how long, at the end of
-    the step, converter samples are kept; an instrument says in its ``abilities`` whether it can.
+    ``applied_rate`` is how a rate table turns the gyro meanwhile (:mod:`gyro_calib.recording.applied_rate`), ``raw_s`` for how long, at the
+    end of the step, converter samples are kept; an instrument says in its ``abilities`` whether it can.
     """
 
     label: str

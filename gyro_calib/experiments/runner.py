@@ -94,8 +94,8 @@ def _check_abilities(instrument: Instrument, plan: Plan) -> None:
     if missing:
         words = {"applied_rate": "turn on a rate table", "raw": "keep converter samples"}
         raise ExperimentAborted(
-            f"Plan {plan.name!r} must run on an instrument that can {' and '.join(words[m] for m in missing)}, but {instrument.device_id!r} "
-            "cannot. Record it with the table's or the converter's own logger and give the file."
+            f"Plan {plan.name!r} must run on an instrument that can {' and '.join(words[m] for m in missing)}, but "
+            f"{instrument.device_id!r} cannot. Record it with the table's or the converter's own logger and give the file."
         )
 
 

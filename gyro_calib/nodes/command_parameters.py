@@ -8,6 +8,7 @@ from typing import Any
 
 from ..errors import DataError
 from ..recording.command import EXCITATIONS, Command
+from ..recording.rate import WAVE_MODES
 from .runtime import describe
 
 __all__ = ["COMMAND_NAMES", "CommandLimits", "changed_command", "check_command", "declare_command", "read_command"]
@@ -131,6 +132,14 @@ def check_command(command: Command, limits: CommandLimits) -> None:
         raise DataError(
             f"Parameter mode must be one with a closed loop for excitation.kind {excitation.kind}, but got 'loops_off'. "
             "Set both in one atomic call."
+        )
+    if excitation.kind != "none" and command.mode in WAVE_MODES:
+        raise DataError(f"Parameter excitation.kind must be none in mode {command.mode}, but got {excitation.kind!r}.")
+    gain = command.setpoints.amplitude_gain_v_per_v
+    if (command.mode == "ring_down" and gain > 0.0) or (command.mode == "ring_up" and gain <= 0.0):
+        raise DataError(
+            f"Parameter setpoint.amplitude_gain_v_per_v must be {'<= 0' if command.mode == 'ring_down' else '> 0'} in mode {command.mode}, "
+            f"but got {gain!r}. Negative drives down."
         )
     if max(abs(c) for c in command.compensation) > _COMPENSATION:
         raise DataError(

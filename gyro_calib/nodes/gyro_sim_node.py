@@ -118,6 +118,7 @@ class GyroSimNode(Node):
             self._commands.put(command)
         self._input = RateInput(timeout_s=settings.true_rate_timeout_s)
         self._pacer = self._make_pacer()
+        self._last_row: FloatArray | None = None
         self._plan_steps()
         self._make_topics()
         self.add_on_set_parameters_callback(self._check_parameters)
@@ -243,7 +244,8 @@ class GyroSimNode(Node):
 
     def publish_rate(self, rows: FloatArray, command: Command) -> None:
         """Publish means of ``rate_raw`` over each ``rate_raw_hz`` period, stamped at their centre; nothing in modes without a rate."""
-        rates = raw_rate(rows, command, self._factory).reshape(-1, self._decimation).mean(axis=1)
+        rates = raw_rate(rows, command, self._factory, before=self._last_row).reshape(-1, self._decimation).mean(axis=1)
+        self._last_row = rows[-1]
         times = rows[:, 0].reshape(-1, self._decimation).mean(axis=1)
         for time_s, rate in zip(times.tolist(), rates.tolist(), strict=True):
             if rate == rate:

@@ -1,9 +1,9 @@
 """The rate that a table applied during a recording, as its attributes tell it.
 
 ``extras["applied_rate"]`` = ``{"t_s": [...], "deg_s": [...]}``: from each time after the start of the record on, this rate (steps); with
-``"kind"`` naming a linear course (``"linear"``, ``"samples"``) the rate runs straight from point to point. ``"rad_s"`` in place of ``"deg_s"``
-is understood, and a single number of deg/s. ``"axis"``, if any, is the table's axis in the frame of the case (three components, default z).
-A constant rate (the earth's) is not part of it.
+``"kind"`` naming a linear course (``"linear"``, ``"samples"``) the rate runs straight from point to point. ``"rad_s"`` in place of
+``"deg_s"`` is understood, and a single number of deg/s. ``"axis"``, if any, is the table's axis in the frame of the case (three components,
+default z). A constant rate (the earth's) is not part of it.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The decimation filter of carrier-rate data: a cascade of boxcars, the same for every column (document 000: "all signals are filtered by the
-same digital filters").
+"""The decimation filter of carrier-rate data: a cascade of boxcars, the same for every column (document 000: "all signals are filtered by
+the same digital filters").
 
 A cascade of k boxcars of n samples is symmetric, so it delays every frequency alike, and a row is stamped at the centre of its kernel.
 """
@@ -22,7 +22,7 @@ def cascade(length: int, order: int) -> FloatArray:
     box = np.full(length, 1.0 / length)
     taps = box
     for _ in range(order - 1):
-        taps = np.convolve(taps, box)
+        taps = np.asarray(np.convolve(taps, box), dtype=np.float64)
     return taps
 
 
@@ -55,7 +55,7 @@ class RowGrid:
     @property
     def centres(self) -> FloatArray:
         """Sample number of the centre of each row's kernel (half-integer when the kernel is even), shape (count,)."""
-        return self.first + 0.5 * (self.span - 1) + self.decimation * np.arange(self.count)
+        return np.asarray(self.first + 0.5 * (self.span - 1) + self.decimation * np.arange(self.count), dtype=np.float64)
 
     @classmethod
     def within(cls, low: int, high: int, decimation: int, order: int, centre: float | None = None) -> RowGrid:

@@ -1,16 +1,15 @@
 """Raw carrier-rate samples to the recording contract: own digital PLL, I/Q demodulation, one filter (document 000, step "data table").
 
 Every channel is multiplied by ``2 e^{-i phi}`` of the phase reference and passed through the same symmetric cascade of boxcars, the
-reference's own frequency too, so that a row's envelopes and its frequency are means over the same instants (theory.md section 2: half a row of
-delay in omega costs 28 deg/h). A raw drive sample is what the converter holds from then on: its waveform is centred half a sample later.
+reference's own frequency too, so that a row's envelopes and its frequency are means over the same instants (theory.md section 2: half a row
+of delay in omega costs 28 deg/h). A raw drive sample is what the converter holds from then on: its waveform is centred half a sample later.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from ..errors import DataError
 from .columns import COLUMNS
 from .decimation import RowGrid, decimate
 from .phase_lock import LEAST_SAMPLES_PER_CYCLE, carrier_frequency, is_phase, lock_phase
+from .raw_block import SIGNALS, RawBlock, finite_number
 from .recording import Recording
 
 __all__ = ["demodulate", "reference_phase"]
@@ -29,9 +29,6 @@ ComplexArray = NDArray[np.complex128]
 
 #: rows per second when nobody says otherwise [Hz]
 ROW_RATE_HZ = 500.0
-_CHANNELS = ("x_pick", "y_pick", "x_drive", "y_drive")
-#: a sample may be this far from its place on the grid, relative to the step
-_GRID_TOLERANCE = 0.25
 
 
 def demodulate(
@@ -48,9 +45,9 @@ def demodulate(
     Parameters
     ----------
     recording : Recording
-        ``raw`` holds ``t`` [s], ``x_pick``, ``y_pick``, ``x_drive``, ``y_drive`` [V] at one rate and ``phase_ref``: a reference voltage ``cos phi``
-        (with harmonics, noise, amplitude modulation) or phi itself [rad], which is told apart. Rows that it holds besides give the row
-        rate, the times of the rows and the temperature.
+        ``raw`` holds ``t`` [s], ``x_pick``, ``y_pick``, ``x_drive``, ``y_drive`` [V] at one rate and ``phase_ref``: a reference voltage
+        ``cos phi`` (with harmonics, noise, amplitude modulation) or phi itself [rad], which is told apart. Rows that it holds besides give
+        the row rate, the times of the rows and the temperature.
     row_rate_hz : float, optional
         Rows per second (rounded to a whole decimation); default: that of the rows, or 500.
     order : int
@@ -75,11 +72,11 @@ def demodulate(
     DataError
         A channel is missing, not finite or off its time grid; sampling too slow; no carrier; too short; a wrong ``reference``.
     """
-    raw = _Raw.of(recording)
+    raw = RawBlock.of(recording)
     factory = factory or {}
     if "dac_zero_order_hold_s" not in recording.extras and "dac_zero_order_hold_s" in factory:
         recording = replace(recording, extras={**recording.extras, "dac_zero_order_hold_s": factory["dac_zero_order_hold_s"]})
-    nominal = _number(factory.get("nominal_f0_hz"))
+    nominal = finite_number(factory.get("nominal_f0_hz"))
     phase, margin, source = _reference(raw, recording, reference, nominal, bandwidth_hz)
     rate = row_rate_hz or (recording.sample_rate_hz if recording.sample_rate_hz < 0.5 * raw.rate_hz else ROW_RATE_HZ)
     if not 0.0 < rate <= 0.5 * raw.rate_hz or order < 1:
@@ -100,7 +97,7 @@ def demodulate(
     turned = envelopes * 1j ** (-quarters)
     data[:, 2:10:2], data[:, 3:10:2] = turned.real, turned.imag
     data[:, 10] = decimate(np.gradient(phase), grid).real * raw.rate_hz / (2.0 * math.pi)
-    data[:, 11] = _temperature(raw, recording, grid, data[:, 0], factory)
+    data[:, 11] = raw.temperature(recording, grid, data[:, 0], factory)
     how = {
         "reference": source,
         "adc_rate_hz": raw.rate_hz,
@@ -117,67 +114,20 @@ def reference_phase(
     recording: Recording, *, reference: str = "auto", bandwidth_hz: float = 200.0, factory: Mapping[str, Any] | None = None
 ) -> tuple[FloatArray, slice]:
     """Phase at every raw sample [rad], and the samples where it is sound; arguments and errors as :func:`demodulate`."""
-    raw = _Raw.of(recording)
-    phase, margin, _ = _reference(raw, recording, reference, _number((factory or {}).get("nominal_f0_hz")), bandwidth_hz)
+    raw = RawBlock.of(recording)
+    phase, margin, _ = _reference(raw, recording, reference, finite_number((factory or {}).get("nominal_f0_hz")), bandwidth_hz)
     return phase, slice(margin, raw.size - margin)
 
 
-@dataclass(frozen=True)
-class _Raw:
-    """A checked raw block."""
-
-    channels: Mapping[str, FloatArray]
-    start_s: float
-    rate_hz: float
-    size: int
-    where: str
-
-    @classmethod
-    def of(cls, recording: Recording) -> _Raw:
-        where = f" of {recording.label!r}" if recording.label else ""
-        channels = {name: np.asarray(values, dtype=np.float64) for name, values in (recording.raw or {}).items()}
-        missing = [name for name in ("t", *_CHANNELS) if name not in channels]
-        if missing:
-            raise DataError(f"Raw block{where} must hold t, {', '.join(_CHANNELS)}, but lacks {', '.join(missing)}. Record every channel.")
-        size = channels["t"].size
-        for name, values in channels.items():
-            if values.shape != (size,):
-                raise DataError(f"Raw channel {name}{where} must have shape ({size},) like t, but got {values.shape}.")
-            if not np.isfinite(values).all():
-                sample = int(np.argmin(np.isfinite(values)))
-                raise DataError(f"Raw channel {name}{where} must be finite, but got {values[sample]} at sample {sample}. Record again.")
-        if size < 64:
-            raise DataError(f"Raw block{where} must hold 64 samples or more, but got {size}. Record longer.")
-        start, rate = _time_grid(channels["t"], where)
-        return cls(channels, start, rate, size, where)
-
-
-def _time_grid(t: FloatArray, where: str) -> tuple[float, float]:
-    """Start and rate of an even grid; the first sample that is off it is named."""
-    step = float(t[-1] - t[0]) / (t.size - 1)
-    if not step > 0.0:
-        raise DataError(f"Raw channel t{where} must increase, but goes from {t[0]:.9g} to {t[-1]:.9g} s. Sort the samples.")
-    median = float(np.median(np.diff(t)))
-    off = np.abs(np.diff(t) - median) > _GRID_TOLERANCE * median
-    if off.any():
-        sample = int(np.argmax(off)) + 1
-        raise DataError(
-            f"Raw channel t{where} must advance evenly ({median:.6g} s a sample), but got {t[sample] - t[sample - 1]:.6g} s before sample "
-            f"{sample} (t = {t[sample]:.9g} s): samples are missing or repeated. Record again."
-        )
-    rate = 1.0 / step
-    return float(t[0]), round(rate) if abs(rate - round(rate)) < 1e-6 * rate else rate
-
-
 def _reference(
-    raw: _Raw, recording: Recording, wanted: str, nominal_hz: float | None, bandwidth_hz: float
+    raw: RawBlock, recording: Recording, wanted: str, nominal_hz: float | None, bandwidth_hz: float
 ) -> tuple[FloatArray, int, str]:
     """Phase at every sample, samples to leave out at each end, and what it was taken from."""
     name = wanted
     if wanted == "auto":
         name = "phase_ref" if "phase_ref" in raw.channels else _stand_in(raw, recording)
-    if name not in ("phase_ref", *_CHANNELS):
-        raise DataError(f"Argument reference must be 'auto', 'phase_ref' or one of {', '.join(_CHANNELS)}, but got {wanted!r}.")
+    if name not in ("phase_ref", *SIGNALS):
+        raise DataError(f"Argument reference must be 'auto', 'phase_ref' or one of {', '.join(SIGNALS)}, but got {wanted!r}.")
     if name not in raw.channels:
         raise DataError(f"Raw block{raw.where} must hold the reference {name}, but does not. Use reference='auto' to lock to the pick-off.")
     signal = raw.channels[name]
@@ -200,7 +150,7 @@ def _reference(
     return phase, margin, f"{name} [V]"
 
 
-def _stand_in(raw: _Raw, recording: Recording) -> str:
+def _stand_in(raw: RawBlock, recording: Recording) -> str:
     """Channel that carries the phase when no reference was recorded."""
     command = recording.command
     if command.oscillator_axis:
@@ -210,12 +160,12 @@ def _stand_in(raw: _Raw, recording: Recording) -> str:
     return "x_pick" if np.ptp(raw.channels["x_pick"]) >= np.ptp(raw.channels["y_pick"]) else "y_pick"
 
 
-def _envelopes(raw: _Raw, phase: FloatArray, grid: RowGrid, recording: Recording) -> ComplexArray:
+def _envelopes(raw: RawBlock, phase: FloatArray, grid: RowGrid, recording: Recording) -> ComplexArray:
     """Envelopes of x and y pick-off, x and y drive, shape (rows, 4)."""
     carrier = np.exp(-1j * phase)
     step = (phase[-1] - phase[0]) / (phase.size - 1)
     columns = []
-    for name in _CHANNELS:
+    for name in SIGNALS:
         envelope = decimate(2.0 * raw.channels[name] * carrier, grid)
         columns.append(envelope * _held(step, raw.rate_hz, recording.extras) if name.endswith("drive") else envelope)
     return np.column_stack(columns).astype(np.complex128)
@@ -224,12 +174,12 @@ def _envelopes(raw: _Raw, phase: FloatArray, grid: RowGrid, recording: Recording
 def _held(step_rad: float, rate_hz: float, extras: Mapping[str, Any]) -> complex:
     """From the samples of a held drive to the commanded drive envelope, which is what the columns hold.
 
-    The converter holds for h = k samples. Sampled k times, the staircase is down by the Dirichlet kernel D_k and late by (k - 1)/2 samples; the
-    waveform itself is centred h/2 after its start, and the firmware has advanced the command for that: by the stated phase, else by
+    The converter holds for h = k samples. Sampled k times, the staircase is down by the Dirichlet kernel D_k and late by (k - 1)/2 samples;
+    the waveform itself is centred h/2 after its start, and the firmware has advanced the command for that: by the stated phase, else by
     just omega h/2. Without ``dac_zero_order_hold_s`` the samples are taken for those of a smooth voltage.
     """
-    hold = _number(extras.get("dac_zero_order_hold_s")) or 0.0
-    advance = _number(extras.get("firmware_drive_phase_advance_rad"))
+    hold = finite_number(extras.get("dac_zero_order_hold_s")) or 0.0
+    advance = finite_number(extras.get("firmware_drive_phase_advance_rad"))
     if hold <= 0.0:
         return np.exp(-1j * (advance or 0.0))
     k = max(1, round(hold * rate_hz))
@@ -245,32 +195,3 @@ def _quarter_turns(envelopes: ComplexArray, oscillator: str | None) -> int:
     if oscillator is None:
         return 0
     return round(float(np.angle(envelopes[:, "xy".index(oscillator)].mean())) / (0.5 * math.pi)) % 4
-
-
-def _temperature(raw: _Raw, recording: Recording, grid: RowGrid, t: FloatArray, factory: Mapping[str, Any]) -> FloatArray | float:
-    """Of the rows, of a raw channel, of the attributes; else assumed, and said so."""
-    if "temperature" in raw.channels:
-        return np.asarray(decimate(raw.channels["temperature"], grid))
-    if len(recording):
-        return np.asarray(np.interp(t, recording.t, recording.temperature_degc))
-    stated = next((_number(v) for k, v in recording.extras.items() if k.lower().startswith("temperature") and _number(v) is not None), None)
-    if stated is not None:
-        return stated
-    assumed = _number(factory.get("reference_temperature_degC"))
-    if assumed is None:
-        raise DataError(
-            f"Recording{raw.where} must state its temperature, but neither rows, a raw channel nor an attribute temperature_degC does. "
-            "Add the attribute."
-        )
-    logging.getLogger("gyro_calib").warning(
-        "Recording%s states no temperature: the factory's reference of %g degC is assumed. Add the attribute temperature_degC.",
-        raw.where,
-        assumed,
-    )
-    return assumed
-
-
-def _number(value: Any) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)

@@ -1,8 +1,8 @@
 """Campaigns on disk as one HDF5 file: written plainly, read liberally.
 
 Layout: root attributes ``format``, ``format_version``, ``device_id``, ``factory`` (JSON); one group per recording in order, its metadata as
-attributes (nested ones as JSON), one dataset per column, optionally a group ``raw`` of carrier-rate samples. A recording of raw samples alone, in
-the group ``raw`` or beside the attributes, is demodulated as it is read (:mod:`.demodulate`).
+attributes (nested ones as JSON), one dataset per column, optionally a group ``raw`` of carrier-rate samples. A recording of raw samples
+alone, in the group ``raw`` or beside the attributes, is demodulated as it is read (:mod:`.demodulate`).
 """
 
 from __future__ import annotations
@@ -217,7 +217,8 @@ def _from_raw(group: h5py.Group, device_id: str, index: int, attributes: Mapping
         raise DataError(f"Raw channel t of {name} must increase, but got steps of {step:.6g} s. Write t as float64 seconds.")
     stated = next((attributes[key] for key in _RATE_NAMES if isinstance(attributes.get(key), int | float)), 1.0 / step)
     command, label = command_from_attributes(attributes), str(attributes.get("label") or name)
-    recording = demodulate(Recording(device_id, np.empty((0, len(COLUMNS))), command, float(stated), label, attributes, raw), factory=factory)
+    alone = Recording(device_id, np.empty((0, len(COLUMNS))), command, float(stated), label, attributes, raw)
+    recording = demodulate(alone, factory=factory)
     data = recording.data.copy()
     data[:, COLUMNS.index("segment")] = index
     return replace(recording, data=data, command=command_from_attributes(attributes, _amplitude(data)))

@@ -96,7 +96,7 @@ def match_envelope(name: str) -> bool:
 
 
 def match_raw(found: Iterable[str]) -> dict[str, str]:
-    """Carrier-rate channel of ours (``t``, ``x_pick``, ``y_pick``, ``x_drive``, ``y_drive``, ``phase_ref``, ``temperature``) -> name in the file."""
+    """Carrier-rate channel (``t``, ``x_pick``, ``y_pick``, ``x_drive``, ``y_drive``, ``phase_ref``, ``temperature``) -> name in file."""
     matched: dict[str, str] = {}
     for name in found:
         channel = _RAW_WORDS.get(_letters(name))

@@ -2,8 +2,9 @@
 modulation"), in the form that a file allows: non-causal and without phase error.
 
 A causal loop follows the reference with a lag. With the whole record at hand the loop filter can be symmetric: demodulate by the present
-phase, low-pass the complex envelope with a symmetric kernel, add its angle to the phase, repeat. The angle is blind to amplitude modulation,
-harmonics fall outside the kernel's pass band, and each repetition takes away more of what the pass band's droop has left of a phase modulation.
+phase, low-pass the complex envelope with a symmetric kernel, add its angle to the phase, repeat. The angle is blind to amplitude
+modulation, harmonics fall outside the kernel's pass band, and each repetition takes away more of what the pass band's droop has left of a
+phase modulation.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ def carrier_frequency(volts: FloatArray, rate_hz: float, near_hz: float | None =
         found += 0.5 * (below - above) / (below - 2.0 * at + above) * rate_hz / part.size
     if rate_hz < LEAST_SAMPLES_PER_CYCLE * found:
         raise DataError(
-            f"Converter rate must be at least {LEAST_SAMPLES_PER_CYCLE:g} samples per carrier cycle, but got {rate_hz:g} Hz for a carrier of "
-            f"{found:.6g} Hz on {what}. Sample faster."
+            f"Converter rate must be at least {LEAST_SAMPLES_PER_CYCLE:g} samples per carrier cycle, but got {rate_hz:g} Hz for a carrier "
+            f"of {found:.6g} Hz on {what}. Sample faster."
         )
     return found
 
@@ -139,7 +140,7 @@ def lock_phase(
         envelope = oaconvolve(2.0 * volts * np.exp(-1j * phase), taps, mode="same")
         _check_amplitude(np.abs(envelope[inner]), half, what)
         phase += _extrapolated(np.unwrap(np.angle(envelope)), half)
-    return phase, half
+    return np.asarray(phase, dtype=np.float64), half
 
 
 def _check_amplitude(amplitude: FloatArray, first: int, what: str) -> None:

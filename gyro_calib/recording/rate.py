@@ -37,7 +37,7 @@ def raw_rate(rows: FloatArray, command: Command, factory: Mapping[str, Any], *, 
         ``nominal_scale_factor_v_per_rad_s`` {x, y} at ``nominal_amplitude_v`` (default 1 V); of a free wave ``angular_gain_kappa``.
     before : ndarray, shape (12,), optional
         The row before the first one, of a free wave: with it the rates of successive blocks add up to the angle turned, however the rows
-        are divided.
+        are divided. Ignored when it is of another segment.
 
     Returns
     -------
@@ -76,6 +76,8 @@ def wave_azimuth(rows: FloatArray) -> FloatArray:
 
 
 def _wave_rate(rows: FloatArray, command: Command, factory: Mapping[str, Any], before: FloatArray | None) -> FloatArray:
+    if before is not None and rows.shape[0] and before[1] != rows[0, 1]:
+        before = None
     all_rows = rows if before is None else np.vstack([before, rows])
     if all_rows.shape[0] < 2:
         return np.full(rows.shape[0], np.nan)

@@ -14,7 +14,7 @@ from ..device.averaging import instant_force
 from ..device.electronics import SLOTS
 from ..jit import kernel
 from .control import control_step
-from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT
+from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT, middle_motion
 from .multiplex import READ_X, READ_Y, hold_columns, slot_envelope, slot_gains
 from .propagator import exact_propagator
 
@@ -121,8 +121,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     noise : ndarray, shape (4 samples,), float32
         Standard normals: force x, y, pick-off x, y of each sample.
     out : ndarray, shape (rows, 9), or (rows, 9 + RAW_CHANNELS controls samples) with FLAG_RAW
-        x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s]; then the raw samples made
-        while the row was under way (the row itself is centred earlier, by the delay of its filter).
+        x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s]; then the raw samples
+        made while the row was under way (the row itself is centred earlier, by the delay of its filter).
     """
     rows = out.shape[0]
     samples = adc_w.shape[1]
@@ -179,7 +179,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 wyr += b[4] * qxr - b[5] * qxi + b[6] * qyr - b[7] * qyi
                 wyi += b[4] * qxi + b[5] * qxr + b[6] * qyi + b[7] * qyr
             if twice_on:
-                factor = math.sqrt((x * x + y * y) + (vx * vx + vy * vy)) * const[4]
+                factor = const[4] * middle_motion(loop, math.sqrt((x * x + y * y) + (vx * vx + vy * vy)))
                 fxr, fxi, fyr, fyi = factor * fxr, factor * fxi, factor * fyr, factor * fyi
             fxr, fxi, fyr, fyi = fxr + wxr, fxi + wxi, fyr + wyr, fyi + wyi
             exr = feed[0] * uxc - feed[1] * uxs + feed[2] * uyc - feed[3] * uys

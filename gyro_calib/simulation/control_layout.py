@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from ..jit import kernel
 
-__all__ = ["clip", "hold_amplitude", "lock_frequency"]
+__all__ = ["clip", "hold_amplitude", "lock_frequency", "middle_motion"]
 
 MODE_FTR_X, MODE_FTR_Y, MODE_LOOPS_OFF, MODE_WHOLE_ANGLE, MODE_RING_DOWN, MODE_RING_UP = 0, 1, 2, 3, 4, 5
 EXC_NONE, EXC_AMPLITUDE, EXC_FREQUENCY, EXC_SECONDARY, EXC_DRIVE, EXC_BODY = 0, 1, 2, 3, 4, 5
@@ -16,10 +16,10 @@ EXC_NONE, EXC_AMPLITUDE, EXC_FREQUENCY, EXC_SECONDARY, EXC_DRIVE, EXC_BODY = 0, 
 # state: 0 phase, 1 omega, 2 PLL integral [rad/s], 3 amplitude integral [V], 4-5 rebalance integral c, s [V], 6 time [s],
 #        7-10 drive command x_c, x_s, y_c, y_s [V], 11 body force volts, 12 quadrature integral [V], 13-14 cos and sin of psi = 2 theta,
 #        15 whether the leg of a ring-down or ring-up has ended; of the multiplexer: 16 slot, 17-20 drives as last switched on [V], 21-22
-#        reference frequency one and two slots ago
+#        reference frequency one and two slots ago; 23 motion at the start of the period before [m]
 S_PHASE, S_OMEGA, S_PLL, S_AMP, S_REB_C, S_REB_S, S_TIME, S_DRIVE, S_BODY = 0, 1, 2, 3, 4, 5, 6, 7, 11
-S_QUAD, S_WAVE, S_LEG, S_SLOT, S_HELD, S_PAST = 12, 13, 15, 16, 17, 21
-N_STATE = 23
+S_QUAD, S_WAVE, S_LEG, S_SLOT, S_HELD, S_PAST, S_MOTION = 12, 13, 15, 16, 17, 21, 23
+N_STATE = 24
 # parameters: mode, set points and excitation, then omega nominal, loop gains, DAC full scale, compensation (4), control period,
 #             whether the closed axis is held; then of the whole-angle modes: quadrature gains, precession [V], CR [V/V], CA [V/V],
 #             threshold over the set point, whether CA drives with constant volts
@@ -52,3 +52,11 @@ def hold_amplitude(state, param, lack):  # type: ignore[no-untyped-def]
     if abs(along) < param[P_FULL_SCALE]:
         state[S_AMP] += param[P_AMP_KI] * lack * param[P_PERIOD]
     return clip(along, param[P_FULL_SCALE])
+
+
+@kernel
+def middle_motion(state, motion):  # type: ignore[no-untyped-def]
+    """Amplitude of the motion in the middle of the control period that begins [m], from that at its start and one period ago."""
+    before = state[S_MOTION] if state[S_MOTION] > 0.0 else motion
+    state[S_MOTION] = motion
+    return 1.5 * motion - 0.5 * before

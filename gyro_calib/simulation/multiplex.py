@@ -24,8 +24,8 @@ def slot_gains(loop):  # type: ignore[no-untyped-def]
 def hold_columns(loop, delay, line):  # type: ignore[no-untyped-def]
     """Fill the drives and the reference frequency of a control step, as late as a pick-off that is held over the frame.
 
-    A reading in the middle of the used part of its slot is held over four slots: late by ``delay`` slots (1 to 2) on average. A drive that is
-    held from its own slot on is late as much; the frequency is interpolated between the slots before.
+    A reading in the middle of the used part of its slot is held over four slots: late by ``delay`` slots (1 to 2) on average. A drive that
+    is held from its own slot on is late as much; the frequency is interpolated between the slots before.
     """
     slot = int(loop[S_SLOT])
     if slot == DRIVE_X:

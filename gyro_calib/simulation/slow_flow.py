@@ -16,7 +16,7 @@ from ..device.electronics import SLOTS
 from ..jit import kernel
 from .carrier import emit_row
 from .control import control_step
-from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_SLOT
+from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_SLOT, middle_motion
 from .multiplex import READ_X, READ_Y, hold_columns, slot_gains
 
 __all__ = ["FLOW_COLUMNS", "slow_flow_rows"]
@@ -116,7 +116,7 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             if altered:
                 gx, gy = slot_gains(loop) if multiplexed else (1.0, 1.0)
                 if per_metre > 0.0:
-                    factor = per_metre * _motion(pxr, pxi, pyr, pyi, unpick)
+                    factor = per_metre * middle_motion(loop, _motion(pxr, pxi, pyr, pyi, unpick))
                     gx, gy = gx * factor, gy * factor
                 dxr, dxi, dyr, dyi = gx * uxr, gx * uxi, gy * uyr, gy * uyi
                 if strayed:

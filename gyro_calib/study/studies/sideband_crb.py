@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...estimation.cramer_rao import device_noise_density, slow_flow_bound
+from ...estimation.cramer_rao import device_noise_density, resonance_wander_density, slow_flow_bound
 from ...estimation.separation import Priors
 from ...estimation.sideband import SidebandProblem
 from ...estimation.slow_flow_data import usable_recordings
@@ -35,7 +35,13 @@ def run(seed: int) -> dict[str, float]:
     resonator = trial.device.resonator
     wander = trial.device.environment.wander_k * abs(resonator.frequency_tempco_per_k) * resonator.omega0_rad_s
     bound = slow_flow_bound(
-        recordings, problem.fit.omega0_rad_s, noise, has_feedthrough=problem.fit.has_feedthrough, bodies=bodies, wander_rad_s=wander
+        recordings,
+        problem.fit.omega0_rad_s,
+        noise,
+        has_feedthrough=problem.fit.has_feedthrough,
+        bodies=bodies,
+        wander_rad_s=wander,
+        wander_density=resonance_wander_density(trial.device),
     )
     _, best = problem.propagate(bound)
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]

@@ -1,0 +1,373 @@
+"""Document 003: the scale factor from the ratio of the drive gains, and a drive gain that is measured in the field.
+
+The factory stores rho = Gmx/Gmy, which stays while each gain drifts. In the field one gain is measured against the pick-offs, as the
+electromechanical rate per volt of drive and volt of pick-off, ``g_x = Gmx Gd / (2 m omega) = |G_xx|`` of the slow flow:
+
+* stiffness control: drive = CR x pick-off in phase with the displacement moves the frequency, ``V = |dw/dCR| = g_x`` (Eq. 6), V/Gfe = kappa Ac rho (9);
+* amplitude control: drive = CA x pick-off in phase with the velocity, down to a threshold and up again,
+  ``C/CA = (1/T1 + 1/T2)/(2 CA) = g_x`` (12), C/Gfe = kappa CA Ac rho (13);
+* drive at twice the frequency: a constant CA acts in proportion to the amplitude already, ``C = CA Gmx/(2 m omega)`` (14-15): the same with
+  the pick-off volt replaced by the nominal amplitude.
+
+With Gfe = 1/S the scale factor is ``S_x = kappa Ac rho / g_x`` and, with y as the oscillator, ``S_y = -kappa Ac / (rho g_y)`` (theory.md Eq. 7).
+
+What biases it, and what is done here about it:
+
+* loop latency L: the drive follows the amplitude of L ago, C is up by L C (1/T up by 0.05-0.2 %): the *recorded* drive over the amplitude is used;
+* detuning and Duffing (the frequency moves with a^2 while the amplitude moves; the PLL follows late): only the part of the drive in phase with the
+  velocity of the wave counts, a factor cos delta that is recorded;
+* nonlinear damping 1/tau + c a^2: cancels in C when both legs run over the same amplitudes, and shifts 1/tau: a term c of its own;
+* a pick-off that is not linear (1 + p a^2): C is up by 2 p <a^2>, does not cancel: a term of its own;
+* a wave that is not exactly on the axis, at psi: the couplings act, 2 psi tan 2 delta: taken out with the drive chain where it is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from ..errors import CalibrationRefused
+from ..quantity import Quantity
+from ..recording.recording import Recording
+from .drive_chain import DriveChain
+from .wave import Wave, wave_coordinates
+
+__all__ = ["RingResult", "reference_ratio", "ring_gain", "scale_factor", "stiffness_gain"]
+
+FloatArray = NDArray[np.float64]
+#: blocks over which the amplitude, and the frequency, are averaged [s]
+_RING_S, _STIFFNESS_S = 0.4, 0.1
+#: share of the largest drive ratio from which on a leg is a leg
+_LEG = 0.9
+_NONLINEAR = ("nonlinear_damping", "pickoff_cubic")
+#: chance of taking up a nonlinear term for nothing
+_CHANCE = 1e-4
+#: how well couplings are known when nobody says [rad]
+_COUPLING_SD = 5e-3
+
+
+@dataclass(frozen=True)
+class RingResult:
+    """Ring-down and ring-up.
+
+    Parameters
+    ----------
+    gain : Quantity
+        g along the axis: electromechanical rate per V/V [1/s].
+    decay_rate : Quantity
+        1/tau at zero amplitude [1/s].
+    document_gain : float
+        ``(1/T1 + 1/T2)/(2 CA)`` from plain exponentials and the commanded CA [1/s].
+    t1_s, t2_s : float
+        Time constants of the two legs [s].
+    nonlinear_damping, pickoff_cubic : Quantity or None
+        c of ``1/tau + c a^2`` [1/(s V^2)] and p of ``V = v (1 + p v^2)`` [1/V^2], when the data asked for them.
+    """
+
+    gain: Quantity
+    decay_rate: Quantity
+    document_gain: float
+    t1_s: float
+    t2_s: float
+    nonlinear_damping: Quantity | None
+    pickoff_cubic: Quantity | None
+
+
+def ring_gain(
+    recordings: Sequence[Recording],
+    axis: str,
+    *,
+    chain: DriveChain | None = None,
+    cross_damping: float = 0.0,
+    drive_amplitude_v: float | None = None,
+) -> RingResult:
+    """Gain of one axis from ring-down and ring-up of a wave on it (document 003, second method).
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Modes ``ring_down`` and ``ring_up``; one recording may hold both legs.
+    axis : {"x", "y"}
+    chain : DriveChain, optional
+        Drive chain as the controller sees it; without it the couplings are held to be zero to 5 mrad.
+    cross_damping : float
+        Real part of A_xy + A_yx [1/s], where it is known: a wave that drifts off the axis decays at another rate.
+    drive_amplitude_v : float, optional
+        Drives at twice the frequency: nominal amplitude [V].
+
+    Raises
+    ------
+    CalibrationRefused
+        No leg down or none up.
+    """
+    parts = [_ring_part(r, axis, chain, cross_damping, drive_amplitude_v) for r in recordings]
+    legs = _legs(recordings, drive_amplitude_v)
+    fit = _selected(parts)
+    gain, gain_sd = fit.values["gain"]
+    azimuth = float(np.mean([p.off_axis for p in parts]))
+    if chain is None:
+        gain_sd = math.hypot(gain_sd, gain * 2.0 * abs(azimuth) * _COUPLING_SD)
+    decay, decay_sd = fit.values["decay"]
+    return RingResult(
+        gain=Quantity(gain, gain_sd, "1/s"),
+        decay_rate=Quantity(-decay, decay_sd, "1/s"),
+        document_gain=legs[2],
+        t1_s=legs[0],
+        t2_s=legs[1],
+        nonlinear_damping=_found(fit, "nonlinear_damping", -1.0, "1/(s V^2)"),
+        pickoff_cubic=_found(fit, "pickoff_cubic", 1.0, "1/V^2"),
+    )
+
+
+def _found(fit: _RingFit, name: str, factor: float, unit: str) -> Quantity | None:
+    return Quantity(*fit.values[name], unit).scaled(factor, unit) if name in fit.values else None
+
+
+def _selected(parts: list[_RingPart]) -> _RingFit:
+    """``ln V = const - int(1/tau + c a^2) + g int(r) + f (r + g int(r^2)) + p a^2``, integrals so that nothing is differentiated; c and p as
+    far as the data ask. f is the feedthrough (V = v + E u, so that V/v = 1 + f r with f = -Im E, and v is smaller than what r was taken over).
+    """
+    linear = ["decay", "gain"]
+    if any(float(np.ptp(p.columns["drive"])) > 0.5 * float(np.max(np.abs(p.columns["drive"]))) for p in parts):
+        linear.append("feedthrough")
+    plain = _fit(parts, linear)
+    single = min((_fit(parts, [*linear, name]) for name in _NONLINEAR), key=lambda fit: fit.squares)
+    both = _fit(parts, [*linear, *_NONLINEAR])
+    one, two = float(chdtri(1, _CHANCE)), float(chdtri(2, _CHANCE))
+    if plain.chi2_over(both) > two and single.chi2_over(both) > one:
+        return both
+    return single if plain.chi2_over(single) > one else plain
+
+
+@dataclass(frozen=True)
+class _RingPart:
+    """Thinned regressors of one recording: ln a and the integrals of what changes it."""
+
+    log_amplitude: FloatArray
+    columns: dict[str, FloatArray]
+    off_axis: float
+
+
+def _ring_part(
+    recording: Recording, axis: str, chain: DriveChain | None, cross_damping: float, drive_amplitude_v: float | None
+) -> _RingPart:
+    wave = wave_coordinates(recording)
+    row_s = 1.0 / recording.sample_rate_hz
+    a = wave.amplitude_v
+    ratio = _drive_ratio(wave, drive_amplitude_v)
+    off = _off_axis(wave, axis)
+    if chain is not None:
+        ratio = ratio * _direction_gain(wave, chain) / (1.0 if axis == "x" else 1.0 + chain.delta_g)
+
+    def passed(values: FloatArray) -> FloatArray:
+        return np.concatenate([[0.0], np.cumsum(0.5 * row_s * (values[1:] + values[:-1]))])
+
+    width = max(1, round(min(_RING_S, wave.t.size * row_s / 12.0) * recording.sample_rate_hz))
+    return _RingPart(
+        log_amplitude=_means(np.log(a) - passed(0.5 * cross_damping * np.sin(2.0 * wave.azimuth_rad)), width),
+        columns={
+            "decay": _means(passed(np.ones_like(a)), width),
+            "gain": _means(passed(ratio), width),
+            "nonlinear_damping": _means(passed(a**2), width),
+            # ln V = ln v + p v^2, and v is what obeys the equation
+            "pickoff_cubic": _means(a**2, width),
+            "drive": _means(ratio, width),
+            "drive_squared": _means(passed(ratio**2), width),
+        },
+        off_axis=off,
+    )
+
+
+def _means(values: FloatArray, width: int) -> FloatArray:
+    """Means over blocks of ``width`` rows; what is left at the end is dropped."""
+    count = values.size // width
+    return np.asarray(values[: count * width].reshape(count, width).mean(axis=1))
+
+
+def _drive_ratio(wave: Wave, drive_amplitude_v: float | None) -> FloatArray:
+    """Drive in phase with the velocity of the wave over what it acts in proportion to."""
+    volts = wave.drive_along.imag
+    return np.asarray(volts / (wave.amplitude_v if drive_amplitude_v is None else drive_amplitude_v))
+
+
+def _off_axis(wave: Wave, axis: str) -> float:
+    """Mean angle of the wave from its axis (psi, or psi less a right angle), within half a turn."""
+    psi = float(np.mean(wave.azimuth_rad)) - (0.5 * math.pi if axis == "y" else 0.0)
+    return (psi + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+
+
+def _direction_gain(wave: Wave, chain: DriveChain) -> FloatArray:
+    """n G n over G_xx at every azimuth."""
+    cos, sin = np.cos(wave.azimuth_rad), np.sin(wave.azimuth_rad)
+    return np.asarray(cos**2 + 2.0 * sin * cos * math.tan(chain.two_delta) + (1.0 + chain.delta_g) * sin**2)
+
+
+@dataclass(frozen=True)
+class _RingFit:
+    """Coefficients with standard deviations, and the residual in units of its own noise."""
+
+    values: dict[str, tuple[float, float]]
+    squares: float
+    noise: float
+
+    def chi2_over(self, richer: _RingFit) -> float:
+        """How much more this fit leaves than a richer one, in units of the richer one's noise."""
+        return (self.squares - richer.squares) / max(richer.noise, 1e-300)
+
+
+def _fit(parts: list[_RingPart], names: list[str]) -> _RingFit:
+    """Least squares of the increments of ln a: force noise walks in the amplitude, so increments are what is independent."""
+    gain = 0.0
+    for _ in range(3 if "feedthrough" in names else 1):
+        fit = _solved(parts, names, gain)
+        gain = fit.values["gain"][0]
+    return fit
+
+
+def _solved(parts: list[_RingPart], names: list[str], gain: float) -> _RingFit:
+    design, target = [], []
+    for part in parts:
+        columns = {**part.columns, "feedthrough": part.columns["drive"] + gain * part.columns["drive_squared"]}
+        design.append(np.diff(np.column_stack([columns[name] for name in names]), axis=0))
+        target.append(np.diff(part.log_amplitude))
+    matrix, values = np.vstack(design), np.concatenate(target)
+    scale = np.linalg.norm(matrix, axis=0)
+    solution, *_ = np.linalg.lstsq(matrix / scale, values, rcond=None)
+    left = values - matrix / scale @ solution
+    noise = float(left @ left) / max(values.size - len(names), 1)
+    spread = np.sqrt(noise * np.diag(np.linalg.inv((matrix / scale).T @ (matrix / scale)))) / scale
+    found = {name: (float(v), float(s)) for name, v, s in zip(names, solution / scale, spread, strict=True)}
+    return _RingFit(found, float(left @ left), noise)
+
+
+def _legs(recordings: Sequence[Recording], drive_amplitude_v: float | None) -> tuple[float, float, float]:
+    """T1, T2 and the gain of plain exponentials with the commanded CA, as the document reads them."""
+    rates: dict[int, float] = {}
+    commanded: dict[int, float] = {}
+    for recording in recordings:
+        wave = wave_coordinates(recording)
+        ratio = _drive_ratio(wave, drive_amplitude_v)
+        largest = float(np.quantile(np.abs(ratio), 0.98))
+        for sign in (-1, 1):
+            rows = sign * ratio > _LEG * largest
+            if rows.sum() > 0.2 * recording.sample_rate_hz and _is_leg(recording, sign):
+                rates[sign] = float(np.polyfit(wave.t[rows] - wave.t[0], np.log(wave.amplitude_v[rows]), 1)[0])
+                commanded[sign] = _commanded(recording, sign) or float(np.median(ratio[rows]))
+    if set(rates) != {-1, 1}:
+        raise CalibrationRefused(
+            "Ring-down must have a leg down and a leg up, but got "
+            f"{', '.join('up' if s > 0 else 'down' for s in sorted(rates)) or 'none'}. Record modes ring_down and ring_up."
+        )
+    gain = (rates[1] - rates[-1]) / (commanded[1] - commanded[-1])
+    return -1.0 / rates[-1], 1.0 / rates[1], gain
+
+
+def _is_leg(recording: Recording, sign: int) -> bool:
+    """A closed amplitude loop drives upwards too; only a commanded ratio makes a leg."""
+    mode = recording.command.mode
+    if isinstance(recording.extras.get("amplitude_control"), dict):
+        return True
+    return (mode == "ring_down" and sign < 0) or (mode == "ring_up" and sign > 0)
+
+
+def _commanded(recording: Recording, sign: int) -> float | None:
+    """CA as commanded [V/V], where the recording says."""
+    schedule = recording.extras.get("amplitude_control")
+    if isinstance(schedule, dict):
+        value = schedule.get("gain_down" if sign < 0 else "gain_up")
+        return float(value) if isinstance(value, int | float) else None
+    value = recording.command.setpoints.amplitude_gain_v_per_v
+    return sign * abs(value) if value else None
+
+
+def stiffness_gain(recordings: Sequence[Recording], axis: str, *, chain: DriveChain | None = None) -> Quantity:
+    """Gain of one axis from the frequency under stiffness control (document 003, first method) [1/s].
+
+    The frequency is that of the wave (reference and phase of the wave against it), so the PLL need not settle. The resonance wanders at
+    random: what is regressed are steps between neighbouring means, which makes a control that alternates a few times a second worth far more than
+    slow steps. Where the wander is as large as the effect (a hemisphere: 2e-3 of it), the amplitude method is the better one, as the document says.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        With CR switched within a recording, or one recording per value in close succession.
+    axis : {"x", "y"}
+    chain : DriveChain, optional
+        As in :func:`ring_gain`.
+
+    Raises
+    ------
+    CalibrationRefused
+        CR did not change.
+    """
+    parts = [_stiffness_part(r, axis, chain) for r in sorted(recordings, key=lambda r: float(r.t[0]))]
+    frequency, control, edge = (np.diff(np.concatenate([p[k] for p in parts])) for k in range(3))
+    if float(np.max(np.abs(control), initial=0.0)) < 1e-3:
+        raise CalibrationRefused("Stiffness control must change during the recordings, but it did not. Step stiffness_v_per_v.")
+    slope = _regressed(np.column_stack([control, edge]), frequency)
+    off = 0.0 if chain is not None else 2.0 * abs(float(np.mean([p[3] for p in parts]))) * _COUPLING_SD
+    return Quantity(slope.value, math.hypot(slope.sd, slope.value * off), "1/s")
+
+
+def _stiffness_part(recording: Recording, axis: str, chain: DriveChain | None) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Frequency of the wave [rad/s], minus u_par_c/a, its change over the block, of every block; and the angle off the axis."""
+    wave = wave_coordinates(recording)
+    width = max(1, round(_STIFFNESS_S * recording.sample_rate_hz))
+    count = wave.t.size // width
+    ratio = wave.drive_along.real / wave.amplitude_v
+    if chain is not None:
+        ratio = ratio * _direction_gain(wave, chain) / (1.0 if axis == "x" else 1.0 + chain.delta_g)
+    # what the phase of the wave gains on the reference adds to the reference's own frequency
+    gained = np.diff(wave.phase_rad[: count * width : width]) * recording.sample_rate_hz / width
+    reference = _means(recording.ref_omega_rad_s, width)[:-1]
+    # a record of the frequency that is a few rows late shows where CR steps, and only there
+    edge = np.diff(ratio[: count * width : width])
+    return reference + gained, -_means(ratio, width)[:-1], -edge, _off_axis(wave, axis)
+
+
+def _regressed(design: FloatArray, target: FloatArray) -> Quantity:
+    """First slope; the noise has the autocovariance up to lag two that the residuals show (the phase is read at the ends of blocks)."""
+    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
+    information = np.eye(design.shape[1])
+    for _ in range(3):
+        left = target - design @ solution
+        covariance = np.eye(left.size) * 1e-6 * float(left @ left) / left.size
+        for k in range(3):
+            lag = (1.0 - k / 3.0) * float(left[k:] @ left[: left.size - k]) / left.size
+            covariance += lag * (np.eye(left.size, k=k) + (np.eye(left.size, k=-k) if k else 0.0))
+        weighed = np.linalg.solve(covariance, design)
+        information = weighed.T @ design
+        solution = np.linalg.solve(information, weighed.T @ target)
+    return Quantity(float(solution[0]), math.sqrt(float(np.linalg.inv(information)[0, 0])), "1/s")
+
+
+def reference_ratio(gain_x: Quantity, gain_y: Quantity, pickoff_ratio: Quantity) -> Quantity:
+    """rho = Gmx/Gmy for the factory to store: from the gain of either axis and the pick-off ratio r (a rate table gives it)."""
+    value = pickoff_ratio.value * gain_x.value / gain_y.value
+    parts = [q.sd / q.value for q in (gain_x, gain_y, pickoff_ratio)]
+    return Quantity(value, abs(value) * math.sqrt(sum(p * p for p in parts)), "1")
+
+
+def scale_factor(gain: Quantity, axis: str, ratio: Quantity, kappa: float, amplitude_v: float) -> Quantity:
+    """Corrected scale factor of force to rebalance [V/(rad/s)] from one measured gain (document 003, Eqs. 9 and 13).
+
+    Parameters
+    ----------
+    gain : Quantity
+        g of the oscillator's axis [1/s], from either method.
+    axis : {"x", "y"}
+        Oscillator.
+    ratio : Quantity
+        rho = Gmx/Gmy of the factory.
+    kappa : float
+        Angular gain: no self-calibration sees it.
+    amplitude_v : float
+        Ac [V].
+    """
+    value = kappa * amplitude_v * (ratio.value if axis == "x" else -1.0 / ratio.value) / gain.value
+    return Quantity(value, abs(value) * math.hypot(gain.sd / gain.value, ratio.sd / ratio.value), "V/(rad/s)")
