@@ -115,9 +115,7 @@ class Bench:
     def start(self, namespace: str, **parameters: Any) -> NodeProcess:
         """Start imu_corrector with parameters."""
         environment = {"ROS_HOME": str(self.ros_home)}
-        process = start_node(
-            "imu_corrector_node", folder=self.folder, namespace=namespace, parameters=parameters, environment=environment
-        )
+        process = start_node("imu_corrector_node", folder=self.folder, namespace=namespace, parameters=parameters, environment=environment)
         self.processes.append(process)
         return process
 

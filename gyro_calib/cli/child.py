@@ -22,6 +22,8 @@ def _end_with_parent() -> None:
 
 
 if __name__ == "__main__":
+    # a parent that a shell put into the background hands down a SIGINT that is ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     _end_with_parent()
     module = importlib.import_module(sys.argv[1])
     sys.argv = [sys.argv[1], *sys.argv[2:]]

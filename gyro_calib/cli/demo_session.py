@@ -208,7 +208,8 @@ class _Log:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = threading.Lock()
-        self._last: collections.deque[str] = collections.deque(maxlen=_LAST_LINES)
+        # by node: what the others print while they are ended must not push out why the first one did
+        self._last: dict[str, collections.deque[str]] = {}
 
     def __enter__(self) -> _Log:
         self._file = self.path.open("w", encoding="utf-8")
@@ -220,13 +221,13 @@ class _Log:
 
     def write(self, name: str, line: str) -> None:
         with self._lock:
-            self._last.append(f"  {name}: {line}")
+            self._last.setdefault(name, collections.deque(maxlen=_LAST_LINES)).append(f"  {name}: {line}")
             if not self._file.closed:
                 print(f"{name}: {line}", file=self._file, flush=True)
 
     def tail(self) -> str:
         with self._lock:
-            return "\n".join(self._last)
+            return "\n".join(line for lines in self._last.values() for line in lines)
 
 
 @contextlib.contextmanager

@@ -75,13 +75,13 @@ def ftr_operating_point(
         volts[osc] = amplitude_v
     delta = float(A[osc, osc].imag)
     pick: ComplexArray = np.array(volts, dtype=np.complex128)
-    drive: ComplexArray = np.zeros(2, dtype=complex)
+    drive: ComplexArray = np.zeros(2, dtype=np.complex128)
     eye = np.eye(2)
     for _ in range(60):
         dynamics = A - 1j * delta * eye
         force = np.zeros(2, dtype=complex) if extra is None else extra(pick)
         effective = G - dynamics @ E
-        drive = np.linalg.solve(effective, -dynamics @ volts - force)
+        drive = np.asarray(np.linalg.solve(effective, -dynamics @ volts - force), dtype=np.complex128)
         slope = np.linalg.solve(effective, 1j * (volts - E @ drive))
         step = -drive[osc].real / slope[osc].real
         delta += step

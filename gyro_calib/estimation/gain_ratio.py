@@ -47,7 +47,7 @@ _LEG = 0.9
 _NONLINEAR = ("nonlinear_damping", "pickoff_cubic")
 #: chance of taking up a nonlinear term for nothing
 _CHANCE = 1e-4
-#: how well couplings are known when nobody says [rad]
+#: how well the couplings of the drives, and the angles of the pick-offs, are known when nobody says [rad]
 _COUPLING_SD = 5e-3
 
 
@@ -353,8 +353,14 @@ def reference_ratio(gain_x: Quantity, gain_y: Quantity, pickoff_ratio: Quantity)
     return Quantity(value, abs(value) * math.sqrt(sum(p * p for p in parts)), "1")
 
 
-def scale_factor(gain: Quantity, axis: str, ratio: Quantity, kappa: float, amplitude_v: float) -> Quantity:
+def scale_factor(
+    gain: Quantity, axis: str, ratio: Quantity, kappa: float, amplitude_v: float, *, chain: DriveChain | None = None
+) -> Quantity:
     """Corrected scale factor of force to rebalance [V/(rad/s)] from one measured gain (document 003, Eqs. 9 and 13).
+
+    The document has no couplings. Where the drives couple (2 delta, 2 lambda) and the pick-offs are not square to one another, the ratio of
+    the drive gains and that of the slow flow, ``r |G_xx| / |G_yy|``, differ by the product of both (some 10 ppm to 100 ppm): nothing when
+    :func:`reference_ratio` made the factory's ratio or a compensation is in force, an uncertainty otherwise.
 
     Parameters
     ----------
@@ -368,6 +374,12 @@ def scale_factor(gain: Quantity, axis: str, ratio: Quantity, kappa: float, ampli
         Angular gain: no self-calibration sees it.
     amplitude_v : float
         Ac [V].
+    chain : DriveChain, optional
+        Uncompensated couplings, for a factory's ratio of the physical gains.
     """
     value = kappa * amplitude_v * (ratio.value if axis == "x" else -1.0 / ratio.value) / gain.value
-    return Quantity(value, abs(value) * math.hypot(gain.sd / gain.value, ratio.sd / ratio.value), "V/(rad/s)")
+    aside = 0.0
+    if chain is not None:
+        aside = _COUPLING_SD * float(np.hypot(chain.matrix[0, 1], chain.matrix[1, 0]))
+    relative = math.sqrt((gain.sd / gain.value) ** 2 + (ratio.sd / ratio.value) ** 2 + aside**2)
+    return Quantity(value, abs(value) * relative, "V/(rad/s)")

@@ -31,7 +31,7 @@ from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Recording
 from .drive_chain import DriveChain
-from .wave import Wave, smooth_azimuth, wave_coordinates
+from .wave import smooth_azimuth, wave_coordinates
 
 __all__ = [
     "AzimuthFit",

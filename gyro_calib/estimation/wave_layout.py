@@ -110,7 +110,11 @@ class Layout:
             parts += [(p.body[:, a] * (excitation.kind == "body" and excitation.frequency_hz == f))[:, None] for f in self.bodies]
         if self.turned:
             # rate acts on the motion: on V less its feedthrough and what the pick-off adds of its own
-            moved = p.rate_pick - np.einsum("jac,bc->jab", p.rate_drive, E) - bend * p.terms["rate_every_axis"].reshape(count, 2, 2).swapaxes(1, 2)
+            moved = (
+                p.rate_pick
+                - np.einsum("jac,bc->jab", p.rate_drive, E)
+                - bend * p.terms["rate_every_axis"].reshape(count, 2, 2).swapaxes(1, 2)
+            )
             parts.append(moved.reshape(count, 4))
         if self.lagging:
             # open drive is steady: nothing there tells its lag

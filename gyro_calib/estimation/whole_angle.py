@@ -68,7 +68,9 @@ def calibrate_whole_angle(
     waves = [r for r in recordings if r.command.mode == "whole_angle"]
     if not waves:
         raise CalibrationRefused("Campaign must hold whole-angle recordings, but got none. Record virtual precession of both senses.")
-    amplitude = float(campaign.factory.get("nominal_amplitude_v", 0.0)) or float(np.median([r.command.setpoints.amplitude_v for r in waves]))
+    amplitude = float(campaign.factory.get("nominal_amplitude_v", 0.0)) or float(
+        np.median([r.command.setpoints.amplitude_v for r in waves])
+    )
     decay = math.pi * float(campaign.factory.get("nominal_f0_hz", 0.0)) / float(campaign.factory.get("nominal_q", math.inf))
     twice = bool(campaign.factory.get("drive_at_twice_frequency", False))
     data = WaveData.of(recordings, decay, amplitude if twice else None)
@@ -118,9 +120,7 @@ def _result(
         return Quantity(float(derived.values[index[name]]), float(sd[index[name]]), unit_of(name))
 
     pick = [index["wave_bias"], index["wave_scale"]]
-    mission = MissionChannel(
-        float(derived.values[pick[0]]), float(derived.values[pick[1]]), covariance[np.ix_(pick, pick)], unit="rad/s"
-    )
+    mission = MissionChannel(float(derived.values[pick[0]]), float(derived.values[pick[1]]), covariance[np.ix_(pick, pick)], unit="rad/s")
     left_out = ("rate", "bias_x", "bias_y", "scale_x", "scale_y")
     parameters = {name: q(name) for name in derived.names if name not in left_out}
     for name, value in estimate.terms.items():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..device.operating_point import ftr_operating_point
 from ..device.wave_point import wave_point
 from ..quantity import Quantity
+from .angle_drift import AngleDrift
 from .drive_chain import coupling_in_quadrature, drive_chain_of, physical_gain
 from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
 from .whole_angle_fit import WholeAngleEstimate
@@ -95,7 +96,8 @@ class WholeAngleValues:
         named: dict[str, float] = {"rate": rate}
         named |= self._rebalance(at_rest, v.G, frame, kappa)
         if self._with_wave:
-            named |= self._free_wave(at_rest, v.G, v.E, kappa, self._latency.value + self._latency.sd * nuisance[6])
+            latency_s = self._latency.value + self._latency.sd * nuisance[6]
+            named |= self._free_wave(at_rest, v.G, v.E, kappa, latency_s, self._compensation)
         named |= {"pickoff_ratio": frame.ratio, "pickoff_phase": frame.phase_rad, "pickoff_non_orthogonality": 0.5 * frame.skew}
         named |= self._chains(v.G, frame, nuisance[8:10])
         named |= _axes(at_rest, frame)
@@ -128,6 +130,27 @@ class WholeAngleValues:
             out += np.outer(slope, slope)
         return here, out
 
+    def at_rest(self, vector: FloatArray | None = None) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """A without the input rate, G and E of a parameter vector (default: the estimate)."""
+        vector = self.estimate.vector() if vector is None else vector
+        v, turned = self.estimate.unpack(vector)
+        own, zero = vector[: self.estimate.flow.covariance.shape[0]], np.zeros(5)
+        frame = solve_pickoff_frame(self.estimate.flow, own, self.deviations, self.drive_ratio, self.priors, zero, turned)
+        rate = input_rate_times_kappa(v.A, frame) / self.kappa
+        return v.A - rate * angular_response(frame, self.kappa), v.G, v.E
+
+    def drift(self, compensation: FloatArray) -> AngleDrift:
+        """Predicted drift of the mission against azimuth under a drive compensation, with covariance (recordings only)."""
+        vector, covariance = self.estimate.vector(), self.estimate.covariance
+
+        def harmonics(values: FloatArray) -> FloatArray:
+            named = self._free_wave(*self.at_rest(values), self.kappa, self._latency.value, compensation)
+            return np.array([named["wave_bias"], named["drift_cos_4theta"], named["drift_sin_4theta"]])
+
+        steps = np.diag(np.sqrt(np.diag(covariance)))
+        jacobian = np.column_stack([(harmonics(vector + h) - harmonics(vector - h)) / (2.0 * h.sum()) for h in steps])
+        return AngleDrift(harmonics(vector), jacobian @ covariance @ jacobian.T)
+
     def _rebalance(self, at_rest: ComplexArray, G: ComplexArray, frame: PickoffFrame, kappa: float) -> dict[str, float]:
         """Bias [rad/s] and scale factor [V/(rad/s)] of force to rebalance by oscillator axis, of the feedthrough-free sensor (Eq. 7)."""
         named = {}
@@ -138,7 +161,9 @@ class WholeAngleValues:
             named[f"bias_{axis}"], named[f"scale_{axis}"] = point.rate_channel_v / slope, slope
         return named
 
-    def _free_wave(self, at_rest: ComplexArray, G: ComplexArray, E: ComplexArray, kappa: float, latency_s: float) -> dict[str, float]:
+    def _free_wave(
+        self, at_rest: ComplexArray, G: ComplexArray, E: ComplexArray, kappa: float, latency_s: float, compensation: FloatArray
+    ) -> dict[str, float]:
         """Bias and scale factor of ``-2 theta'/kappa``: mean over the azimuth at rest; over whole turns, a turning wave shows the true angle
         whatever the pick-offs, so that only the latency of the loops is left in the scale factor. And the harmonics of the drift in 4 theta.
         """
@@ -148,7 +173,7 @@ class WholeAngleValues:
                 -2.0
                 / self.kappa
                 * wave_point(
-                    at_rest, G, E, self.amplitude, 0.25 * angle, compensation=self._compensation, latency_s=latency_s, extra=self._extra
+                    at_rest, G, E, self.amplitude, 0.25 * angle, compensation=compensation, latency_s=latency_s, extra=self._extra
                 ).theta_rate_rad_s
                 for angle in angles
             ]
@@ -197,9 +222,7 @@ def _axes(at_rest: ComplexArray, frame: PickoffFrame) -> dict[str, float]:
 def _cubic_forces(terms: Mapping[str, complex]) -> Callable[[ComplexArray], ComplexArray] | None:
     """N(p) of the cubic terms that act on the motion, or None."""
     wave = terms.get("cubic_wave", 0j)
-    matrix = np.array(
-        [[terms.get("cubic_xx", 0j), terms.get("cubic_xy", 0j)], [terms.get("cubic_yx", 0j), terms.get("cubic_yy", 0j)]]
-    )
+    matrix = np.array([[terms.get("cubic_xx", 0j), terms.get("cubic_xy", 0j)], [terms.get("cubic_yx", 0j), terms.get("cubic_yy", 0j)]])
     if wave == 0j and not matrix.any():
         return None
 
