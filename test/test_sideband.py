@@ -124,6 +124,38 @@ def test_without_body_excitation_and_factory_ratio_the_ratio_is_called_unobserva
     assert abs(volts / nominal - true.scale_factor) < 4 * sd / nominal
 
 
+def test_wrong_feedthrough_hurts_and_the_measured_one_heals() -> None:
+    """Document 000, step 2: without the open-drive records E is taken as zero, and the bias shows it."""
+    device, campaign, true = _run(4, noisy=False)
+    assert abs(device.feedthrough.matrix()).max() > 1e-4
+    nominal = campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
+    errors = {}
+    for name in ("measured", "missing"):
+        kept = tuple(r for r in campaign if name == "measured" or r.command.excitation.kind != "drive")
+        result = calibrate(Campaign(campaign.device_id, kept, campaign.factory), with_convergence=False)
+        errors[name] = abs(result.bias["x"].value - _sensor_bias(device)) / DEG_H
+        assert any("feedthrough" in text for text in result.warnings) == (name == "missing")
+    assert errors["measured"] < 0.3
+    assert errors["missing"] > 10.0 * errors["measured"]
+    assert abs(true.bias_rad_s * nominal) > 0
+
+
+def _sensor_bias(device: Device) -> float:
+    """Bias of the feedthrough-free sensor, x oscillator (theory Eq. 7) [rad/s]."""
+    flow = device.slow_flow()
+    point = ftr_operating_point(flow.A, flow.G, np.zeros((2, 2), dtype=complex), 1.0, "x")
+    scale = device.resonator.angular_gain * (1.0 + device.pickoff.gain_mismatch) / abs(flow.G[1, 1])
+    return point.rate_channel_v / scale
+
+
+def test_the_documents_own_fit_agrees_within_its_sd(noisy: tuple[Device, Campaign, Truth], result: CalibrationResult) -> None:
+    document = calibrate(noisy[1], method="document")
+    assert document.method == "document"
+    assert abs(document.rate.value - RATE) < 4 * document.rate.sd
+    assert abs(document.bias["x"].value - result.bias["x"].value) < 4 * document.bias["x"].sd
+    assert abs(document.scale_factor["x"].value / result.scale_factor["x"].value - 1) < 20e-6
+
+
 def test_one_axis_alone_is_refused_with_the_remedy() -> None:
     _, campaign, _ = _run(1, fidelity="slow_flow")
     half = Campaign(campaign.device_id, tuple(r for r in campaign if r.command.mode != "ftr_y"), campaign.factory)

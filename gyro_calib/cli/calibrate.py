@@ -24,6 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="factory record (see gyro-calib factory) whose kappa and rate correction count; none: leave it; else the one in $ROS_HOME",
     )
+    parser.add_argument(
+        "--method",
+        default="auto",
+        metavar="NAME",
+        help="auto, or one of sideband, document (document 000 to the letter), virtual_precession",
+    )
     parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
     parser.add_argument("--device-id", metavar="ID", help="identity of the unit, for a bag that lacks it")
 
@@ -41,7 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
         campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
     campaign = _with_factory(campaign, arguments.factory_record)
     with progress_bar("estimating") as report:
-        result = calibrate(campaign, on_progress=lambda fraction: report(fraction, ""), with_convergence=arguments.html is not None)
+        result = calibrate(
+            campaign,
+            method=arguments.method,
+            on_progress=lambda fraction: report(fraction, ""),
+            with_convergence=arguments.html is not None,
+        )
     if arguments.json is None or str(arguments.json) != "-":
         print_table(result_table(result))
     print_warnings([*(f"not observable: {item}" for item in result.not_observable), *result.warnings])

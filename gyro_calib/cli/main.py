@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from ..errors import GyroCalibError
-from . import allan, calibrate, call, demo, factory, simulate, study, up
+from . import allan, calibrate, call, demo, factory, pickoff, simulate, study, up
 
 __all__ = ["build_parser", "main"]
 
@@ -23,6 +23,7 @@ _COMMANDS = {
     "simulate": simulate,
     "calibrate": calibrate,
     "factory": factory,
+    "pickoff": pickoff,
     "allan": allan,
     "study": study,
 }

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from ..errors import CalibrationRefused
 from ..recording.recording import Campaign
+from .document_method import calibrate_document
 from .result import CalibrationResult
 from .sideband import calibrate_sideband
 from .whole_angle import calibrate_whole_angle
@@ -17,6 +18,7 @@ __all__ = ["METHODS", "calibrate"]
 METHODS: dict[str, tuple[tuple[str, ...], Callable[..., CalibrationResult]]] = {
     "virtual_precession": (("whole_angle",), calibrate_whole_angle),
     "sideband": (("ftr_x", "ftr_y"), calibrate_sideband),
+    "document": (("ftr_x", "ftr_y"), calibrate_document),
 }
 
 
