@@ -1,8 +1,11 @@
 """Angle-dependent drift of a whole-angle gyro: rate against azimuth, measured and predicted, and the drive compensation that takes it away.
 
-At rest the wave precesses by ``n_perp (Re A + i G C h) n`` with h = u_amp/a (theory.md Eq. 6): the damping's anisotropy turns it with 4 theta, the
-forcer's errors with 4 theta and with a constant, both by way of the same drive. Compensating the forcers alone (document 004, Eq. 36) leaves the
-damping's part; choosing C such that ``i G C h = -Re A`` for one h makes the amplitude drive replace what the damping takes, in every direction:
+At rest the wave precesses by ``n_perp (Re A + i G C h) n`` with h = u_amp/a (theory.md Eq. 6): the damping's anisotropy turns it with 4
+theta, the
+forcer's errors with 4 theta and with a constant, both by way of the same drive. Compensating the forcers alone (document 004, Eq. 36)
+leaves the
+damping's part; choosing C such that ``i G C h = -Re A`` for one h makes the amplitude drive replace what the damping takes, in every
+direction:
 nothing is left to turn the wave, and the amplitude drive does not depend on the azimuth any more. The frequency split turns the wave only
 through a residual quadrature, or through a phase error of the drive; the second is in the prediction.
 """

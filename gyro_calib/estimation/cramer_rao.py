@@ -62,6 +62,7 @@ def slow_flow_bound(
     bodies: list[float],
     wander_rad_s: float,
     wander_density: Callable[[float], float],
+    damping_wander: float,
 ) -> FloatArray:
     """Covariance bound of the parameter vector of :class:`.slow_flow_fit.SlowFlowEstimate` (without cubic terms), shape (n, n).
 
@@ -79,9 +80,12 @@ def slow_flow_bound(
         Standard deviation of the resonance between records: how well an open drive's distance from it can be known.
     wander_density : callable
         Its density inside a record [(rad/s)^2/Hz], taken at the side band.
+    damping_wander : float
+        Standard deviation of 1/tau between records, Q following the same temperature [1/s].
     """
     blocks = [
-        _axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies, wander_rad_s, wander_density) for axis in range(2)
+        _axis_bound(recordings, axis, omega0_rad_s, density, has_feedthrough, bodies, wander_rad_s, wander_density, damping_wander)
+        for axis in range(2)
     ]
     size = blocks[0].shape[0]
     bound = np.zeros((2 * size, 2 * size))
@@ -98,11 +102,14 @@ def _axis_bound(
     bodies: list[float],
     wander: float,
     wander_density: Callable[[float], float],
+    damping_wander: float,
 ) -> FloatArray:
     count = 2 * (4 + 2 * int(has_feedthrough) + len(bodies))
     closed = "yx"[axis]
     shifts = [i for i, r in enumerate(recordings) if r.command.oscillator_axis != closed]
-    information = np.zeros((count + len(shifts), count + len(shifts)))
+    # behind the parameters: each record's resonance shift, then each oscillator record's change of damping
+    size = count + 2 * len(shifts)
+    information = np.zeros((size, size))
     for i, r in enumerate(recordings):
         detuning = r.ref_omega_rad_s - omega0
         columns = [r.pick[:, 0], r.pick[:, 1], r.drive[:, 0], r.drive[:, 1]]
@@ -113,8 +120,7 @@ def _axis_bound(
             np.full(len(r), excitation.volts * (excitation.kind == "body" and excitation.frequency_hz == f), complex) for f in bodies
         ]
         complex_columns = np.column_stack(columns)
-        real = np.empty((2 * len(r), count + len(shifts)))
-        real[:] = 0.0
+        real = np.zeros((2 * len(r), size))
         real[: len(r), 0:count:2], real[: len(r), 1:count:2] = complex_columns.real, -complex_columns.imag
         real[len(r) :, 0:count:2], real[len(r) :, 1:count:2] = complex_columns.imag, complex_columns.real
         if i in shifts:
@@ -122,6 +128,9 @@ def _axis_bound(
             real[: len(r), own], real[len(r) :, own] = -r.pick[:, axis].imag, r.pick[:, axis].real
             if r.command.oscillator_axis is None:
                 information[own, own] += 1.0 / wander**2
+            else:
+                real[: len(r), own + len(shifts)], real[len(r) :, own + len(shifts)] = r.pick[:, axis].real, r.pick[:, axis].imag
+            information[own + len(shifts), own + len(shifts)] += 1.0 / damping_wander**2
         white = density(float(detuning.mean()))
         ninety = white
         if excitation.kind == "amplitude_modulation" and r.command.oscillator_axis == "xy"[axis]:

@@ -1,6 +1,6 @@
 """Document 000's estimator as a method of :func:`.calibrate`: its 15 (23 with E) parameters by Eq. 19, then the same physical step.
 
-The product estimator (:mod:`.sideband`) uses the same recordings and is preferred: it also weighs the carrier lines and the nonlinear terms.
+The product estimator (:mod:`.sideband`) uses the same recordings and is preferred: it also weighs carrier lines and nonlinear terms.
 This one is there to be compared with, and for whoever wants the document to the letter.
 """
 

@@ -3,10 +3,13 @@
     [F_X; F_Y] = k [[1, tan 2 delta - tan 2 lambda], [tan 2 delta + tan 2 lambda, 1 + dG]] [u_X; u_Y]                                (8)
 
 G = -(i/2w) P B is the product of drive and pick-off chain. Three combinations of it are observable from the recordings alone and are all
-that the controller needs, because it lives in pick-off volts too: ``seen``. The physical chain B = P^-1 G needs the pick-off frame: the ratio r
-(factory's drive-gain ratio, reciprocity, or a real rotation) for dG, the non-orthogonality n (reciprocity or a real rotation) for 2 delta. The
+that the controller needs, because it lives in pick-off volts too: ``seen``. The physical chain B = P^-1 G needs the pick-off frame: the
+ratio r
+(factory's drive-gain ratio, reciprocity, or a real rotation) for dG, the non-orthogonality n (reciprocity or a real rotation) for 2
+delta. The
 rotation rho of the pick-offs in the body is a choice of axes and no recording sees it: 2 lambda is physical only as far as rho is known.
-Crosstalk of the electronics adds to the couplings with any phase. Its part in quadrature shows; the part in phase cannot be told from the angles
+Crosstalk of the electronics adds to the couplings with any phase. Its part in quadrature shows; the part in phase cannot be told from
+the angles
 of the forcers (document 004 counts it into 2 delta), so it is allowed for at the size of the other.
 """
 

@@ -3,18 +3,22 @@
 The factory stores rho = Gmx/Gmy, which stays while each gain drifts. In the field one gain is measured against the pick-offs, as the
 electromechanical rate per volt of drive and volt of pick-off, ``g_x = Gmx Gd / (2 m omega) = |G_xx|`` of the slow flow:
 
-* stiffness control: drive = CR x pick-off in phase with the displacement moves the frequency, ``V = |dw/dCR| = g_x`` (Eq. 6), V/Gfe = kappa Ac rho (9);
+* stiffness control: drive = CR x pick-off in phase with the displacement moves the frequency, ``V = |dw/dCR| = g_x`` (Eq. 6), V/Gfe =
+kappa Ac rho (9);
 * amplitude control: drive = CA x pick-off in phase with the velocity, down to a threshold and up again,
   ``C/CA = (1/T1 + 1/T2)/(2 CA) = g_x`` (12), C/Gfe = kappa CA Ac rho (13);
 * drive at twice the frequency: a constant CA acts in proportion to the amplitude already, ``C = CA Gmx/(2 m omega)`` (14-15): the same with
   the pick-off volt replaced by the nominal amplitude.
 
-With Gfe = 1/S the scale factor is ``S_x = kappa Ac rho / g_x`` and, with y as the oscillator, ``S_y = -kappa Ac / (rho g_y)`` (theory.md Eq. 7).
+With Gfe = 1/S the scale factor is ``S_x = kappa Ac rho / g_x`` and, with y as the oscillator, ``S_y = -kappa Ac / (rho g_y)`` (theory.md
+Eq. 7).
 
 What biases it, and what is done here about it:
 
-* loop latency L: the drive follows the amplitude of L ago, C is up by L C (1/T up by 0.05-0.2 %): the *recorded* drive over the amplitude is used;
-* detuning and Duffing (the frequency moves with a^2 while the amplitude moves; the PLL follows late): only the part of the drive in phase with the
+* loop latency L: the drive follows the amplitude of L ago, C is up by L C (1/T up by 0.05-0.2 %): the *recorded* drive over the
+amplitude is used;
+* detuning and Duffing (the frequency moves with a^2 while the amplitude moves; the PLL follows late): only the part of the drive in
+phase with the
   velocity of the wave counts, a factor cos delta that is recorded;
 * nonlinear damping 1/tau + c a^2: cancels in C when both legs run over the same amplitudes, and shifts 1/tau: a term c of its own;
 * a pick-off that is not linear (1 + p a^2): C is up by 2 p <a^2>, does not cancel: a term of its own;
@@ -37,7 +41,7 @@ from ..recording.recording import Recording
 from .drive_chain import DriveChain
 from .wave import Wave, wave_coordinates
 
-__all__ = ["RingResult", "reference_ratio", "ring_gain", "scale_factor", "stiffness_gain"]
+__all__ = ["RingResult", "off_axis", "reference_ratio", "ring_gain", "scale_factor", "stiffness_gain"]
 
 FloatArray = NDArray[np.float64]
 #: blocks over which the amplitude, and the frequency, are averaged [s]
@@ -129,8 +133,9 @@ def _found(fit: _RingFit, name: str, factor: float, unit: str) -> Quantity | Non
 
 
 def _selected(parts: list[_RingPart]) -> _RingFit:
-    """``ln V = const - int(1/tau + c a^2) + g int(r) + f (r + g int(r^2)) + p a^2``, integrals so that nothing is differentiated; c and p as
-    far as the data ask. f is the feedthrough (V = v + E u, so that V/v = 1 + f r with f = -Im E, and v is smaller than what r was taken over).
+    """``ln V = const - int(1/tau + c a^2) + g int(r) + f (r + g int(r^2)) + p a^2``, integrals so that nothing is differentiated; c and p
+    as far as the data ask. f is the feedthrough (V = v + E u, so that V/v = 1 + f r with f = -Im E, and v is smaller than what r was taken
+    over).
     """
     linear = ["decay", "gain"]
     if any(float(np.ptp(p.columns["drive"])) > 0.5 * float(np.max(np.abs(p.columns["drive"]))) for p in parts):
@@ -195,8 +200,12 @@ def _drive_ratio(wave: Wave, drive_amplitude_v: float | None) -> FloatArray:
     return np.asarray(volts / (wave.amplitude_v if drive_amplitude_v is None else drive_amplitude_v))
 
 
+def off_axis(recording: Recording, axis: str) -> float:
+    """Mean angle of the wave of a recording from an axis (psi, or psi less a right angle), within half a turn [rad]."""
+    return _off_axis(wave_coordinates(recording), axis)
+
+
 def _off_axis(wave: Wave, axis: str) -> float:
-    """Mean angle of the wave from its axis (psi, or psi less a right angle), within half a turn."""
     psi = float(np.mean(wave.azimuth_rad)) - (0.5 * math.pi if axis == "y" else 0.0)
     return (psi + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
@@ -289,8 +298,10 @@ def stiffness_gain(recordings: Sequence[Recording], axis: str, *, chain: DriveCh
     """Gain of one axis from the frequency under stiffness control (document 003, first method) [1/s].
 
     The frequency is that of the wave (reference and phase of the wave against it), so the PLL need not settle. The resonance wanders at
-    random: what is regressed are steps between neighbouring means, which makes a control that alternates a few times a second worth far more than
-    slow steps. Where the wander is as large as the effect (a hemisphere: 2e-3 of it), the amplitude method is the better one, as the document says.
+    random: what is regressed are steps between neighbouring means, which makes a control that alternates a few times a second worth far
+    more than
+    slow steps. Where the wander is as large as the effect (a hemisphere: 2e-3 of it), the amplitude method is the better one, as the
+    document says.
 
     Parameters
     ----------

@@ -1,7 +1,9 @@
 """How late the loops of a whole-angle gyro push: the drive follows the wave that was, and lags behind the one that is.
 
-While the wave turns at psi', an amplitude drive u_par along the wave of a latency T ago has the part ``-psi' T u_par`` across the wave of now
-(and a precession drive a part along it). That slows the precession, and the scale factor with it, by T/tau (theory.md section 2): physics of
+While the wave turns at psi', an amplitude drive u_par along the wave of a latency T ago has the part ``-psi' T u_par`` across the wave
+of now
+(and a precession drive a part along it). That slows the precession, and the scale factor with it, by T/tau (theory.md section 2):
+physics of
 the device, not of the estimate, so it has to be in what the mission's rate is corrected with.
 """
 

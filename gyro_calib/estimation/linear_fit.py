@@ -25,7 +25,7 @@ _EXTRA_TERM = 6.0
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Two-sided density ``c_0 + c_1/f + c_2 f^2`` of the residual [V^2/s^2/Hz], floor below ``lowest_hz``.
+    """Two-sided density ``c_0 + c_1/f + c_2 f^2 + walk/f^2`` of the residual [V^2/s^2/Hz], constant below ``lowest_hz``.
 
     ``carrier`` is what recordings differ by from one another beyond that, at the carrier line itself (wander slower than a record).
     """
@@ -33,32 +33,36 @@ class NoiseModel:
     coefficients: tuple[float, float, float]
     lowest_hz: float
     carrier: float = 0.0
+    walk: float = 0.0
 
     def density(self, frequency_hz: FloatArray) -> FloatArray:
         """Density at each frequency, shape as the argument."""
         f = np.maximum(np.abs(frequency_hz), self.lowest_hz)
         c = self.coefficients
-        return np.asarray(c[0] + c[1] / f + c[2] * f**2 + self.carrier * (np.asarray(frequency_hz) == 0.0))
+        smooth = c[0] + c[1] / f + c[2] * f**2 + self.walk / f**2
+        return np.asarray(smooth + self.carrier * (np.asarray(frequency_hz) == 0.0))
 
 
 def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float) -> NoiseModel:
     """Fit the density to squared residual projections (each chi-square with one degree of freedom), non-negative coefficients.
 
-    A flicker or pick-off term is kept only when the data ask for it (Bayesian information criterion on the Whittle likelihood): a term
-    that only chance put there would be carried by 1/f to the carrier line and cost most of its weight. ``lowest_hz`` is where flicker is
-    cut off: the effective frequency of the carrier line of a record, about a third of its 1/duration.
+    A flicker, random-walk (a resonance that wanders) or pick-off term is kept only when the data ask for it (Bayesian information
+    criterion on the Whittle likelihood): a term that only chance put there would be carried by 1/f to the carrier line and cost most of
+    its weight. ``lowest_hz`` is where flicker is cut off: the effective frequency of the carrier line of a record, about a third of its
+    1/duration.
     """
     f = np.maximum(np.abs(frequency_hz), lowest_hz)
-    basis = np.column_stack([np.ones_like(f), 1.0 / f, f**2])
-    best, best_score = (0.0, 0.0, 0.0), np.inf
-    for terms in ((0,), (0, 1), (0, 2), (0, 1, 2)):
-        coefficients = np.zeros(3)
+    basis = np.column_stack([np.ones_like(f), 1.0 / f, f**2, 1.0 / f**2])
+    best, best_score = np.zeros(4), np.inf
+    for terms in ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3)):
+        coefficients = np.zeros(4)
         coefficients[list(terms)] = _whittle_fit(basis[:, terms], squares)
         expected = np.maximum(basis @ coefficients, 1e-300)
         score = float(np.sum(np.log(expected) + squares / expected)) + len(terms) * (np.log(squares.size) + _EXTRA_TERM)
         if score < best_score:
-            best, best_score = (float(coefficients[0]), float(coefficients[1]), float(coefficients[2])), score
-    return NoiseModel(best, lowest_hz)
+            best, best_score = coefficients, score
+    white, flicker, pickoff, walk = map(float, best)
+    return NoiseModel((white, flicker, pickoff), lowest_hz, walk=walk)
 
 
 def _whittle_fit(basis: FloatArray, squares: FloatArray) -> FloatArray:
@@ -88,6 +92,8 @@ class Equation:
         drive.
     detuning_sd : float
         How large the shift may be [rad/s]; infinite where the recording itself determines it.
+    common : ndarray, shape (m, m), or None
+        Covariance that real parts and imaginary parts have beside that of ``gram`` and their own noise.
     """
 
     lhs: ComplexArray
@@ -97,6 +103,7 @@ class Equation:
     sd_im: FloatArray
     detuning: ComplexArray | None = None
     detuning_sd: float = float("inf")
+    common: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -124,8 +131,10 @@ class LinearFit:
     residuals: tuple[ComplexArray, ...]
 
 
-def _whitener(gram: FloatArray, sd: FloatArray) -> FloatArray:
+def _whitener(gram: FloatArray, sd: FloatArray, common: FloatArray | None) -> FloatArray:
     covariance = gram * np.outer(sd, sd)
+    if common is not None:
+        covariance = covariance + common
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
@@ -158,7 +167,7 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
         top[:, 0::2], top[:, 1::2] = re, -im
         bottom[:, 0::2], bottom[:, 1::2] = im, re
         for part, shift, value, sd in ((top, shift_re, e.lhs.real, e.sd_re), (bottom, shift_im, e.lhs.imag, e.sd_im)):
-            white = _whitener(e.gram, sd)
+            white = _whitener(e.gram, sd, e.common)
             designs.append(white @ np.hstack([part, shift]))
             targets.append(white @ value)
     design, target = np.vstack(designs), np.concatenate(targets)

@@ -1,6 +1,7 @@
 """Document 004's own method: precession rates under virtual precession of both senses, their difference and their sum.
 
-With u_vir along u_perp_s of theory.md Eq. 6, a = tan 2 delta, b = tan 2 lambda and angles in 4 theta (document 004, Eqs. 30-35, signs as in theory.md
+With u_vir along u_perp_s of theory.md Eq. 6, a = tan 2 delta, b = tan 2 lambda and angles in 4 theta (document 004, Eqs. 30-35, signs as
+in theory.md
 section 6):
 
     theta' = rate_H(theta) + k_vir [u_amp (b + dG/2 sin 4theta + a cos 4theta) + u_vir (1 + dG/2 + dG/2 cos 4theta - a sin 4theta)]
@@ -8,14 +9,18 @@ section 6):
     sum        = 2 rate_H + 2 k_vir u_amp (b + dG/2 sin 4theta + a cos 4theta)     ->  2 lambda from its mean over whole periods of 4 theta
 
 As the document has it, u_amp is a constant. It is not: it carries 4 theta itself and differs between the two senses (k_va of Eq. 30), which
-costs 3.3e-4 in the difference's constant; ``recorded=True`` takes both from the recorded u_amp(theta). The complete estimate, which also uses
+costs 3.3e-4 in the difference's constant; ``recorded=True`` takes both from the recorded u_amp(theta). The complete estimate, which also
+uses
 the amplitude and quadrature equations and exact trigonometry, is :mod:`.whole_angle_fit`.
 
 dG, 2 delta, 2 lambda are those *seen* by the controller (:mod:`.drive_chain`): what a compensation needs.
 
-A constant rate Omega adds -kappa Omega to the sum and passes for ``tan 2 lambda = -kappa Omega tau`` (u_amp/a = 1/(g tau) whatever the amplitude,
-so a second amplitude does not help): the earth's rate and tau = 560 s make 0.022 rad, as much as the document's whole 2 lambda. Handled by a known
-rate, by a pair of orientations (:func:`orientation_pair`), or by the complete fit, where u_amp under +/- u_vir and ring-down tell them apart.
+A constant rate Omega adds -kappa Omega to the sum and passes for ``tan 2 lambda = -kappa Omega tau`` (u_amp/a = 1/(g tau) whatever the
+amplitude,
+so a second amplitude does not help): the earth's rate and tau = 560 s make 0.022 rad, as much as the document's whole 2 lambda. Handled
+by a known
+rate, by a pair of orientations (:func:`orientation_pair`), or by the complete fit, where u_amp under +/- u_vir and ring-down tell them
+apart.
 """
 
 from __future__ import annotations
@@ -100,7 +105,9 @@ def azimuth_fit(recording: Recording) -> AzimuthFit:
     solution, *_ = np.linalg.lstsq(design, theta, rcond=None)
     covariance = _correlated(design, theta - design @ solution)
     drive, *_ = np.linalg.lstsq(basis, wave.drive_along.imag[rows], rcond=None)
-    return AzimuthFit(solution[1:4], covariance[1:4, 1:4], periods, recording.command.setpoints.virtual_precession_v, drive[:3])
+    return AzimuthFit(
+        solution[1:4], covariance[1:4, 1:4], periods, recording.command.setpoints.virtual_precession_v, np.asarray(drive[:3], dtype=float)
+    )
 
 
 def _whole_periods(azimuth_rad: FloatArray) -> slice:
@@ -267,7 +274,7 @@ def rate_as_two_lambda(rate_rad_s: float, kappa: float, k_vir: float, amplitude_
 
 
 def orientation_pair(first: PrecessionErrors, turned: PrecessionErrors) -> tuple[Quantity, Quantity]:
-    """2 lambda from two runs, the second with the sense axis turned to the opposite direction: the rate changes its sign, 2 lambda does not.
+    """2 lambda from two runs, the second with the sense axis turned about: the rate changes its sign, 2 lambda does not.
 
     Returns
     -------

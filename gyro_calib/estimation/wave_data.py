@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..recording.recording import Recording
 from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis, fit_noise
 from .wave_layout import Layout
-from .wave_lines import quiet_lines, signal_lines
+from .wave_lines import quiet_lines, role_of, signal_lines
 from .wave_projection import CHANNELS, Products, WaveProjected, in_wave_frame
 from .wave_terms import derived_signals, plain_signals
 
@@ -26,6 +26,10 @@ Excess = dict[tuple[int, str], float]
 _FLAT = NoiseModel((1.0, 0.0, 0.0), 1.0)
 #: noise before it is known: what matters is that the resonance wanders by far more than the rest is uncertain
 _UNKNOWN = {"frequency": NoiseModel((1e6, 0.0, 0.0), 1.0)}
+#: least noise of a role over what all recordings have in common
+_COMMON = 0.3
+#: variance of the means of records some ten of their lengths apart over the coefficient of flicker: 2 ln 10
+_BETWEEN = 4.6
 #: below this span the resonance is not regressed on temperature [K]; how far it wanders at least [rad/s]
 _TEMPERATURE_SPAN_K, _LEAST_WANDER_RAD_S = 0.1, 1e-3
 
@@ -86,16 +90,18 @@ class WaveData:
             lines = signal_lines(r, products.speed_rad_s)
             signal.append(products.project(lines))
             quiet.append(products.project(quiet_lines(r, max(lines), products.speed_rad_s)))
-        return cls(recordings, omega0, wander, Layout.of(recordings, omega0), signal, quiet)
+        return cls(recordings, omega0, wander, Layout.of(recordings, omega0, _farthest(signal)), signal, quiet)
 
     def subset(self, indices: list[int]) -> WaveData:
         """The same for some of the recordings."""
         recordings = [self.recordings[i] for i in indices]
         signal, quiet = ([projected[i] for i in indices] for projected in (self.signal, self.quiet))
-        return WaveData(recordings, self.omega0, self.wander, Layout.of(recordings, self.omega0), signal, quiet)
+        return WaveData(recordings, self.omega0, self.wander, Layout.of(recordings, self.omega0, _farthest(signal)), signal, quiet)
 
-    def solve(self, layout: Layout, noise: Noise, excess: Excess, before: LinearFit | None) -> LinearFit:
-        """Weighted least squares; A and E of ``before`` enter the small corrections."""
+    def solve(self, layout: Layout, noise: Noise, excess: Excess, before: LinearFit | None, flicker: float = 0.0) -> LinearFit:
+        """Weighted least squares; A and E of ``before`` enter the small corrections, ``flicker`` is by how much the force that does not
+        follow the wave differs between recordings [V/s].
+        """
         equations = []
         for i, (p, r) in enumerate(zip(self.signal, self.recordings, strict=True)):
             sd = self.deviations(i, noise, excess)
@@ -109,9 +115,50 @@ class WaveData:
                     # every resonance is its own, near that of the others; the wave's also moves steadily
                     detuning=p.resonance if in_wave_frame(r) else p.resonance[:, :1],
                     detuning_sd=self.wander,
+                    common=self._common(i, flicker),
                 )
             )
         return fit_axis(equations)
+
+    def _common(self, index: int, flicker: float) -> FloatArray | None:
+        """Covariance of a recording's equations from forces that do not follow the wave: flicker of density ``flicker / f`` [V^2/s^2].
+
+        Seen from a wave that turns it lies at the odd harmonics of psi, from one that stands at its mean.
+        """
+        if flicker <= 0.0 or not in_wave_frame(self.recordings[index]):
+            return None
+        p = self.signal[index]
+        slowest = 1.0 / (_BETWEEN * self.recordings[index].duration_s)
+        return np.asarray((p.slow * (flicker / np.maximum(p.slow_hz, slowest))) @ p.slow.T)
+
+    def without_flicker(self, index: int, left: ComplexArray, noise: Noise, excess: Excess, flicker: float) -> ComplexArray:
+        """Residuals less the flicker that they most probably hold."""
+        common = self._common(index, flicker)
+        if common is None:
+            return left
+        sd, gram = self.deviations(index, noise, excess), self.signal[index].gram
+        re, im = (
+            part - common @ np.linalg.solve(gram * np.outer(s, s) + common, part) for part, s in ((left.real, sd.real), (left.imag, sd.imag))
+        )
+        return np.asarray(re + 1j * im)
+
+    def flicker(self, noise: Noise, excess: Excess, solution: LinearFit) -> float:
+        """Flicker of forces that do not follow the wave: by how much their means differ between recordings, beyond their noise [V^2/s^2].
+
+        Read from what the fit leaves of waves that turned by more than half a turn of psi: only there does it not pass for damping.
+        """
+        beyond = []
+        for i, (p, left) in enumerate(zip(self.signal, solution.residuals, strict=True)):
+            if p.turn_rad < math.pi or not in_wave_frame(self.recordings[i]):
+                continue
+            sd = self.deviations(i, noise, excess)
+            design = np.hstack([p.constant, 1j * p.constant])
+            rows = np.vstack([design.real / sd.real[:, None], design.imag / sd.imag[:, None]])
+            values = np.concatenate([left.real / sd.real, left.imag / sd.imag])
+            inverse = np.linalg.inv(rows.T @ rows)
+            found = inverse @ (rows.T @ values)
+            beyond += list(found**2 - np.diag(inverse))
+        return max(float(np.mean(beyond)), 0.0) / _BETWEEN if beyond else 0.0
 
     def deviations(self, index: int, noise: Noise, excess: Mapping[tuple[int, str], float]) -> ComplexArray:
         """Standard deviations of a recording's equations, of their real parts and (as imaginary part) of their imaginary ones."""
@@ -128,42 +175,118 @@ class WaveData:
             sd[place] = parts[0] + 1j * parts[1]
         return sd
 
-    def measured(self, layout: Layout, solution: LinearFit) -> Noise:
-        """Noise of each recording and channel from what the model leaves at the quiet lines."""
+    def quiet_noise(self, layout: Layout, solution: LinearFit) -> Noise:
+        """Noise of each recording and channel at its quiet lines alone: what the signal's lines are judged by."""
         noise: Noise = {}
-        for i, (p, r) in enumerate(zip(self.quiet, self.recordings, strict=True)):
-            left = p.lhs - _regressors(layout, p, r, solution) @ solution.coefficients
-            half = p.lhs.size // 2
+        for i, (lines, left) in enumerate(self._quiet_residuals(layout, solution)):
+            lowest = 0.3 / self.recordings[i].duration_s
             for k, channel in enumerate(CHANNELS):
-                squares, lowest = _part(left, k) ** 2, 0.3 / r.duration_s
-                if channel == "frequency" and in_wave_frame(r):
-                    noise[i, channel] = _Wander.of(p.frequency_hz[:half], squares, lowest)
+                squares = _part(left, k) ** 2
+                if self._wanders(i, channel):
+                    noise[i, channel] = _Wander.of(lines, squares, lowest)
                     continue
-                model = fit_noise(p.frequency_hz[:half], squares, lowest)
+                model = fit_noise(lines, squares, lowest)
                 # what grows with frequency at the quiet lines says nothing below them: there the noise is at least that of the lowest
-                floor = model.coefficients[2] * float(p.frequency_hz.min()) ** 2
+                floor = model.coefficients[2] * float(lines.min()) ** 2
                 noise[i, channel] = replace(model, coefficients=(max(model.coefficients[0], floor), *model.coefficients[1:]))
         return noise
 
-    def scores(self, noise: Noise, solution: LinearFit) -> dict[tuple[int, str], tuple[float, int]]:
+    def noise(self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> Noise:
+        """Noise that the fit is weighed with: of all recordings of one role together, what the fit leaves at the signal's lines included.
+
+        Only so are the low lines seen, where the force noise lies under the pick-off's at every quiet line. Together, and not far below
+        what
+        all closed-loop recordings have in common, because a recording that looked quiet there by chance would pull the fit onto itself,
+        look
+        quieter still, and so on. The flicker that ``weights`` already allow for is taken out.
+        """
+        samples = self._samples(layout, solution, weights)
+        longest: dict[str, float] = {}
+        for r in self.recordings:
+            longest[role_of(r)] = max(longest.get(role_of(r), 0.0), r.duration_s)
+        found: Noise = {}
+        for channel in CHANNELS:
+            waves = [i for i, r in enumerate(self.recordings) if in_wave_frame(r) and not self._wanders(i, channel)]
+            common = _pooled([samples[i, channel] for i in waves], max(longest.values())) if waves else None
+            roles = {
+                role: _pooled([samples[i, channel] for i, r in enumerate(self.recordings) if role_of(r) == role], length)
+                for role, length in longest.items()
+            }
+            for i, r in enumerate(self.recordings):
+                if self._wanders(i, channel):
+                    f, squares = samples[i, channel]
+                    found[i, channel] = _Wander.of(f, squares, 0.3 / r.duration_s)
+                    continue
+                found[i, channel] = _not_below(roles[role_of(r)], common) if common and in_wave_frame(r) else roles[role_of(r)]
+        return found
+
+    def _samples(
+        self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess, float]
+    ) -> dict[tuple[int, str], tuple[FloatArray, FloatArray]]:
+        """Lines and squared residuals of each recording and channel; of a wandering resonance at the quiet lines only."""
+        spare = solution.dof / max(2 * sum(left.size for left in solution.residuals), 1)
+        quiet = self._quiet_residuals(layout, solution)
+        samples = {}
+        for i, (p, r) in enumerate(zip(self.signal, self.recordings, strict=True)):
+            lines, left = quiet[i]
+            own = p.frequency_hz[: p.lhs.size // 2]
+            low = own > 0.7 / r.duration_s
+            clean = self.without_flicker(i, solution.residuals[i], *weights)
+            for k, channel in enumerate(CHANNELS):
+                f, squares = lines, _part(left, k) ** 2
+                if not self._wanders(i, channel):
+                    f = np.concatenate([f, own[low]])
+                    squares = np.concatenate([squares, _part(clean, k)[low] ** 2 / spare])
+                samples[i, channel] = (f, squares)
+        return samples
+
+    def _wanders(self, index: int, channel: str) -> bool:
+        return channel == "frequency" and in_wave_frame(self.recordings[index])
+
+    def _quiet_residuals(self, layout: Layout, solution: LinearFit) -> list[tuple[FloatArray, ComplexArray]]:
+        """Lines and what the model leaves there, by recording."""
+        return [
+            (p.frequency_hz[: p.lhs.size // 2], p.lhs - _regressors(layout, p, r, solution) @ solution.coefficients)
+            for p, r in zip(self.quiet, self.recordings, strict=True)
+        ]
+
+    def scores(self, noise: Noise, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> dict[tuple[int, str], tuple[float, int]]:
         """Sum of the squared residuals at a recording's signal lines over their measured noise, and their number, by channel."""
         total = {}
-        for i, left in enumerate(solution.residuals):
+        for i, found in enumerate(solution.residuals):
+            left = self.without_flicker(i, found, *weights)
             sd = self.deviations(i, noise, {})
             for k, channel in enumerate(CHANNELS):
                 ratio = _part(left, k) / _part(sd, k)
                 total[i, channel] = (float(ratio @ ratio), ratio.size)
         return total
 
-    def excess(self, noise: Noise, solution: LinearFit) -> Excess:
+    def excess(self, noise: Noise, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> Excess:
         """How much more noise there is where the signal is than the quiet lines tell, where that is beyond chance; else one."""
-        scores = self.scores(noise, solution)
+        scores = self.scores(noise, solution, weights)
         spare = solution.dof / max(sum(count for _, count in scores.values()), 1)
         out = {}
         for key, (squares, count) in scores.items():
             ratio = squares / (count * spare)
             out[key] = ratio if ratio > 1.0 + 2.0 * math.sqrt(2.0 / count) else 1.0
         return out
+
+
+def _farthest(signal: list[WaveProjected]) -> float:
+    return max((p.turn_rad for p in signal), default=0.0)
+
+
+def _pooled(samples: list[tuple[FloatArray, FloatArray]], longest_s: float) -> NoiseModel:
+    """One noise model of several recordings."""
+    return fit_noise(np.concatenate([f for f, _ in samples]), np.concatenate([squares for _, squares in samples]), 0.3 / longest_s)
+
+
+def _not_below(model: NoiseModel, common: NoiseModel) -> NoiseModel:
+    """A role's noise with its force noise and flicker not far below the common ones."""
+    white, flicker, pickoff = model.coefficients
+    return replace(
+        model, coefficients=(max(white, _COMMON * common.coefficients[0]), max(flicker, _COMMON * common.coefficients[1]), pickoff)
+    )
 
 
 def _part(values: ComplexArray, channel: int) -> FloatArray:

@@ -20,8 +20,9 @@ ComplexArray = NDArray[np.complex128]
 @dataclass(frozen=True)
 class Layout:
     """Complex unknowns, in order: per axis a (A_ax, A_ay, G~_ax, G~_ay, E_ax, E_ay, body …), then as far as they are sought the response to
-    rate (xx, xy, yx, yy), then the nuisances: the lag of the drive behind its record times -G (4), the change of E with frequency over the
-    resonance's (4), the time shift of the table (4); last the cubic terms.
+    rate (xx, xy, yx, yy), then the nuisances: the force that does not follow the wave (2), the lag of the drive behind its record times
+    -G (4),
+    the change of E with frequency over the resonance's (4), the time shift of the table (4); last the cubic terms.
 
     Parameters
     ----------
@@ -32,6 +33,10 @@ class Layout:
         Frequencies of body excitation [Hz].
     turned : bool
         A rate was applied.
+    picked_up : bool
+        A wave turned by half a turn of psi or more: a force at the reference frequency that does not turn with it (pick-up of the
+        reference by
+        the forcers) shows, and would pass for damping of a wave that stands.
     lagging : bool
         Drives changed: a record that is a sample early or late shows (and would pass for feedthrough).
     jerked : bool
@@ -46,14 +51,15 @@ class Layout:
     has_feedthrough: bool
     bodies: tuple[float, ...] = ()
     turned: bool = False
+    picked_up: bool = False
     lagging: bool = False
     jerked: bool = False
     dispersive: bool = False
     terms: tuple[Term, ...] = ()
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], omega0_rad_s: float) -> Layout:
-        """What these recordings can determine."""
+    def of(cls, recordings: Sequence[Recording], omega0_rad_s: float, turn_rad: float) -> Layout:
+        """What these recordings can determine; ``turn_rad`` is the farthest that a wave turned in one of them."""
         open_drive = [r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "drive"]
         turned = [r for r in recordings if "applied_rate" in r.extras]
         return cls(
@@ -61,6 +67,7 @@ class Layout:
             has_feedthrough=bool(open_drive),
             bodies=tuple(sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})),
             turned=bool(turned),
+            picked_up=turn_rad > np.pi,
             lagging=any(r.command.mode != "loops_off" for r in recordings) and bool(open_drive),
             jerked=any(_changes(r) for r in turned),
             dispersive=len({round(f, 3) for f in open_drive}) > 1,
@@ -80,7 +87,7 @@ class Layout:
     @property
     def lag(self) -> slice:
         """Place of the lag of the drive times -G."""
-        first = self.rate_response.stop
+        first = self.rate_response.stop + 2 * int(self.picked_up)
         return slice(first, first + 4 * int(self.lagging))
 
     def term(self, name: str) -> slice:
@@ -116,6 +123,8 @@ class Layout:
                 - bend * p.terms["rate_every_axis"].reshape(count, 2, 2).swapaxes(1, 2)
             )
             parts.append(moved.reshape(count, 4))
+        if self.picked_up:
+            parts.append((0.0 if recording.command.mode == "loops_off" else 1.0) * p.constant)
         if self.lagging:
             # open drive is steady: nothing there tells its lag
             parts.append((0.0 if recording.command.mode == "loops_off" else 1.0) * p.drive_slope.reshape(count, 4))

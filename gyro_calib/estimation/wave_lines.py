@@ -1,4 +1,4 @@
-"""Where in frequency a whole-angle recording says something, and where only noise is left."""
+"""Where in frequency a whole-angle recording says something, where only noise is left, and which recordings share their noise."""
 
 from __future__ import annotations
 
@@ -8,17 +8,31 @@ import numpy as np
 
 from ..recording.recording import Recording
 
-__all__ = ["quiet_lines", "signal_lines"]
+__all__ = ["quiet_lines", "role_of", "signal_lines"]
 
 #: harmonics of the modal azimuth that a wave's equations hold: 2 psi from the linear model, 4 psi from cubic terms
 _HARMONICS = 4
 #: highest line of records whose drive is switched [Hz], and most lines of one of them
 _SWITCHED_HZ, _SWITCHED_LINES = 1.5, 24
+#: lowest line of their noise [Hz]
+_SWITCHED_QUIET_HZ = 0.3
 #: above this many lines only the harmonics and their neighbours are taken
 _MOST_LINES = 64
 _QUIET_LINES = 24
 #: least span of the quiet lines [Hz], and their highest line over the row rate
 _QUIET_HZ, _QUIET_TOP = 4.0, 0.1
+
+
+def role_of(recording: Recording) -> str:
+    """Recordings of one role share their noise: it depends on what is driven, and in open drive on the distance from resonance."""
+    mode = recording.command.mode
+    if mode == "loops_off":
+        return f"open at {recording.command.excitation.frequency_hz:.0f} Hz"
+    if "applied_rate" in recording.extras:
+        return "turned"
+    if mode == "whole_angle":
+        return "precession" if recording.command.setpoints.virtual_precession_v != 0.0 else "free"
+    return "ring" if mode.startswith("ring") else mode
 
 
 def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
@@ -49,9 +63,15 @@ def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
 
 
 def quiet_lines(recording: Recording, highest_signal_hz: float, speed_rad_s: float) -> list[float]:
-    """Lines of which only noise is expected once the model is taken away [Hz]: above the signal, and between the harmonics of the azimuth."""
+    """Lines of which only noise is expected once the model is taken away [Hz]: above the signal, and between the harmonics of the
+    azimuth.
+    """
     step = 1.0 / recording.duration_s
     first = highest_signal_hz + 1.8 * step
+    if recording.command.mode != "whole_angle" or "applied_rate" in recording.extras:
+        # what a switched drive excites falls fast with frequency, and the model takes it away: noise is measured among it, from where it
+        # matters
+        first = min(first, max(_SWITCHED_QUIET_HZ, 3.0 * step))
     last = max(min(first + max(_QUIET_HZ, 8.0 * step), _QUIET_TOP * recording.sample_rate_hz), first + 4.0 * step)
     lines = np.geomspace(first, last, _QUIET_LINES)
     spaced = [lines[0]]

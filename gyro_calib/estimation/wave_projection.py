@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,13 @@ __all__ = ["CHANNELS", "Products", "WaveProjected", "in_wave_frame"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Number = TypeVar("Number", np.float64, np.complex128)
 Signal = Callable[[ComplexArray, ComplexArray, FloatArray], ComplexArray]
 #: what the equations are: real and imaginary part along the wave, then across it
 CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
-#: rows per second after thinning, and how much of its time the azimuth is smoothed over [s]
-_THIN_HZ = 100.0
-_SMOOTH_S = 0.2
+#: rows per second after thinning, and over how long the azimuth is smoothed [s]
+_THIN_HZ, _SMOOTH_S = 100.0, 0.2
+#: lines of the flicker of forces that do not follow the wave
+_SLOW_LINES = 5
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,20 @@ class WaveProjected:
         Regressors [equation, axis a, column b] of A_ab, G~_ab, E_ab, and of a drive that acts later than it is recorded (its derivative).
     rate_pick, rate_drive, jerk : ndarray, shape (2 m, 2, 2), complex
         Applied rate times V, times u, and its change times V.
-    body : ndarray, shape (2 m, 2), complex
-        Projected volts of the body excitation, by axis.
+    body, constant : ndarray, shape (2 m, 2), complex
+        Projected volts of the body excitation, and one, by axis: regressors of a force that does not follow the wave.
+    slow : ndarray, shape (2 m, 2 k)
+        The same of forces at k slow lines, each of unit sum of squares: what flicker of the drives looks like from the wave.
+    slow_hz : ndarray, shape (2 k,)
+        Their frequencies [Hz]; zero for the constant.
     resonance : ndarray, shape (2 m, 2), complex
         V, and V times time from -1 to 1: regressors of this recording's own resonance shift.
     terms : dict of str to ndarray, shape (2 m, k), complex
         By name, see :func:`in_wave_frame`.
     gram : ndarray, shape (2 m, 2 m)
         Inner products of the test functions.
+    turn_rad : float
+        How far the azimuth psi moved [rad].
     """
 
     frequency_hz: FloatArray
@@ -70,12 +76,16 @@ class WaveProjected:
     rate_drive: ComplexArray
     jerk: ComplexArray
     body: ComplexArray
+    constant: ComplexArray
+    slow: FloatArray
+    slow_hz: FloatArray
     resonance: ComplexArray
     terms: dict[str, ComplexArray]
     gram: FloatArray
+    turn_rad: float
 
 
-def _thin(signal: NDArray[Number], width: int) -> NDArray[Number]:
+def _thin(signal: NDArray[Any], width: int) -> NDArray[Any]:
     """Three running means of ``width`` rows, one row of ``width`` kept; along the first axis."""
     if width <= 1:
         return signal
@@ -143,12 +153,14 @@ class Products:
         body = complex(excitation.volts) if excitation.kind == "body" else 0j
         time = np.linspace(-1.0, 1.0, len(recording))[:, None]
         self._t = _thin(recording.t, self._width)
+        slow, self._slow_hz = _slow_waves(recording)
         self._parts: list[dict[str, list[ComplexArray]]] = []
         directions, speed = _directions(recording)
-        #: how fast the azimuth moves, leaving out its few fastest rows [rad/s]
+        #: how fast the azimuth moves, leaving out its few fastest rows [rad/s], and how far it moved [rad]
         self.speed_rad_s = float(np.quantile(np.abs(speed), 0.98))
+        self.turn_rad = abs(float(np.sum(speed))) / rate_hz
         for d in directions:
-            part = {
+            part: dict[str, list[ComplexArray]] = {
                 "lhs": self._derived(d, V[:, None, :]),
                 "drive_rate": self._derived_by_axis(d, u),
                 "pick": self._by_axis(d.m, V),
@@ -158,6 +170,8 @@ class Products:
                 "rate_drive": self._by_axis(d.m, rate[:, None] * u),
                 "jerk": self._by_axis(d.m, slope[:, None] * V),
                 "body": [_thin(d.m * body, self._width)],
+                "constant": [_thin(d.m * (1.0 + 0j), self._width)],
+                "slow": [_thin((d.m[:, :, None] * slow[:, None, :] + 0j).reshape(len(recording), -1), self._width)],
                 "resonance": [_thin(np.stack([np.sum(d.m * X, axis=1) for X in (V, time * V)], axis=1), self._width)],
             }
             part |= {name: [_thin(np.sum(d.m[:, None, :] * f(V, u, rate), axis=2), self._width)] for name, f in (plain or {}).items()}
@@ -168,7 +182,7 @@ class Products:
     def project(self, frequencies_hz: Sequence[float]) -> WaveProjected:
         """The equations on these lines (0: the mean)."""
         f = test_functions(self._t, self._row_s, list(frequencies_hz))
-        weights = (f.value, f.first, f.second)
+        weights = (f.value, *_derivatives(f.value, self._row_s))
 
         def on_lines(name: str) -> ComplexArray:
             # the k-th entry of a signal goes with the k-th derivative of the test functions
@@ -191,9 +205,13 @@ class Products:
             rate_drive=on_lines("rate_drive"),
             jerk=on_lines("jerk"),
             body=on_lines("body"),
+            constant=on_lines("constant"),
+            slow=on_lines("slow").real,
+            slow_hz=np.tile(self._slow_hz, 2),
             resonance=on_lines("resonance"),
             terms={name: on_lines(name) for name in self._names},
             gram=np.kron(np.eye(2), gram),
+            turn_rad=self.turn_rad,
         )
 
     def _orders(self, d: _Direction, x: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -220,6 +238,30 @@ class Products:
     def _by_axis(self, m: FloatArray, x: ComplexArray) -> list[ComplexArray]:
         """m_a x_b, shape (n', a, b)."""
         return [_thin(m[:, :, None] * x[:, None, :], self._width)]
+
+
+def _slow_waves(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """1, cos, sin, … at multiples of one over the record, of unit sum of squares times the row time: shape (n, k), and their lines [Hz]."""
+    duration, share = recording.duration_s, 2.0 * np.pi * (np.arange(len(recording)) + 0.5) / len(recording)
+    columns, lines = [np.full(len(recording), 1.0 / np.sqrt(duration))], [0.0]
+    for k in range(1, _SLOW_LINES + 1):
+        columns += [np.sqrt(2.0 / duration) * f(k * share) for f in (np.cos, np.sin)]
+        lines += [k / duration, k / duration]
+    return np.column_stack(columns), np.array(lines)
+
+
+def _derivatives(value: FloatArray, row_s: float) -> tuple[FloatArray, FloatArray]:
+    """First and second derivative of functions that vanish at both ends, in the sense of the sums that they enter.
+
+    Spectral: then ``sum(phi' x) = -sum(phi x')`` holds for the samples as they are, however few of them the rise of a short window has;
+    the formula's own derivative, sampled, leaves some 1e-5 of a steady amplitude there.
+    """
+    count = value.shape[1]
+    spin = 2j * np.pi * np.fft.rfftfreq(count, row_s)
+    spectrum = np.fft.rfft(value, axis=1)
+    if count % 2 == 0:
+        spin[-1] = 0.0  # the highest line has no phase, and nothing of these functions
+    return np.fft.irfft(spin * spectrum, count, axis=1), np.fft.irfft(spin**2 * spectrum, count, axis=1)
 
 
 def in_wave_frame(recording: Recording) -> bool:

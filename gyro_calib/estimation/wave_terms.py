@@ -1,6 +1,7 @@
 """Cubic terms that a whole-angle fit takes up when the data ask for them: each linear in its coefficients, with regressors of its own.
 
-An amplitude-dependent pick-off, forcer, stiffness or damping passes for gain and damping errors of the linear model (effects.md rows 4-7, 9,
+An amplitude-dependent pick-off, forcer, stiffness or damping passes for gain and damping errors of the linear model (effects.md rows
+4-7, 9,
 16); over several amplitudes and all azimuths the terms below tell them apart. V are pick-off volts, u drive volts, by axis k:
 
 * ``pickoff_cubic``: V_k = p_k + c_k |p_k|^2 p_k, so that ``L[V] - c_k L[N_k]`` obeys the linear flow, N_k = |V_k|^2 V_k on axis k [1/V^2];

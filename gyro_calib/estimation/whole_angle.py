@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Campaign
+from .drive_chain import DriveChain
+from .gain_ratio import off_axis, ring_gain, scale_factor
 from .latency import loop_latency
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Priors
@@ -26,6 +28,8 @@ FloatArray = NDArray[np.float64]
 _CHI2_WARN = 2.0
 _CONVERGENCE_POINTS = 4
 _AXES = ("x", "y")
+#: a ring-down counts for an axis when its wave was this near to it
+_NEAR_AXIS_RAD = 0.2
 
 
 def calibrate_whole_angle(
@@ -129,6 +133,7 @@ def _result(
         parameters[f"{name}_im"] = Quantity(value.imag, estimate.terms_sd[name][1], unit)
     if latency is not None:
         parameters["loop_latency"] = latency
+    parameters |= _gain_ratio(campaign, values, derived)
     return CalibrationResult(
         device_id=campaign.device_id,
         method="virtual_precession",
@@ -151,6 +156,26 @@ def _result(
     )
 
 
+def _gain_ratio(campaign: Campaign, values: WholeAngleValues, derived: Derived) -> dict[str, Quantity]:
+    """Scale factors by document 003's amplitude method, where ring-down and ring-up were recorded: a check by other equations."""
+    if values.drive_ratio is None:
+        return {}
+    named = dict(zip(derived.names, derived.values, strict=True))
+    chain = DriveChain(*(float(named[f"{name}_seen"]) for name in ("delta_g", "two_delta", "two_lambda")))
+    ratio = Quantity(values.drive_ratio, values.priors.drive_ratio * values.drive_ratio, "1")
+    cross = float(named["A_xy_re"] + named["A_yx_re"])
+    twice = values.amplitude if campaign.factory.get("drive_at_twice_frequency", False) else None
+    found = {}
+    for axis in _AXES:
+        legs = [r for r in campaign if r.command.mode.startswith("ring_") and abs(off_axis(r, axis)) < _NEAR_AXIS_RAD]
+        try:
+            ring = ring_gain(legs, axis, chain=chain, cross_damping=cross, drive_amplitude_v=twice)
+        except CalibrationRefused:
+            continue
+        found[f"scale_factor_{axis}_gain_ratio"] = scale_factor(ring.gain, axis, ratio, values.kappa, values.amplitude, chain=chain)
+    return found
+
+
 def _noise_density(estimate: WholeAngleEstimate, values: WholeAngleValues) -> Quantity:
     """White rate noise, one-sided: the force noise across the wave over its effect on the rate, median of the recordings."""
     found = [model.coefficients[0] for (channel, label, _), model in estimate.flow.noise.items() if channel == "precession"]
@@ -166,9 +191,9 @@ def _verdicts(
     not_observable = ["angular_gain_kappa: taken from the factory, no self-calibration sees it"]
     seen = float(derived.values[index["two_lambda_seen"]])
     not_observable.append(
-        f"two_lambda: only relative to the pick-offs (two_lambda_seen = {seen:.6g} rad, what bias and compensation need); how the pick-offs "
-        f"are turned in the body is a choice of axes, known to {values.priors.rotation_rad:.0e} rad. Crosstalk of the drive electronics in "
-        "phase with the forcers counts as theirs, in two_delta too"
+        f"two_lambda: only relative to the pick-offs (two_lambda_seen = {seen:.6g} rad, what bias and compensation need); how "
+        f"the pick-offs are turned in the body is a choice of axes, known to {values.priors.rotation_rad:.0e} rad. "
+        "Crosstalk of the drive electronics in phase with the forcers counts as theirs, in two_delta too"
     )
     limits = (
         ("pickoff_ratio", 3e-4, "store the factory's drive-gain ratio, or turn the gyro once"),

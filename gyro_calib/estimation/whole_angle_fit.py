@@ -1,9 +1,11 @@
 """Identify the slow flow of a whole-angle gyro from all recordings at once: A, G, E in one linear regression.
 
 While the wave precesses, pick-offs and drives sweep every direction, so one weighted least squares on the projected slow flow
-(:mod:`.wave_projection`) finds all of A and all of G: free runs (damping and stiffness), virtual precession of both senses and several volts
+(:mod:`.wave_projection`) finds all of A and all of G: free runs (damping and stiffness), virtual precession of both senses and several
+volts
 (G across the wave; exact trigonometry, and the recorded u_amp(theta) and u_quad(theta), are in the drive columns), ring-down and ring-up (G
-along the wave), stiffness steps, force-to-rebalance stretches, open drive off resonance (E). What acted is what stands in the drive columns,
+along the wave), stiffness steps, force-to-rebalance stretches, open drive off resonance (E). What acted is what stands in the drive
+columns,
 so the latency of the loops drops out; a record that is itself late by a sample of the converters shows as a lag and is taken out.
 
 A constant rate and a forcer rotation 2 lambda are both a constant precession under a steady amplitude drive, and at another amplitude they
@@ -158,6 +160,7 @@ class _Fit:
     solution: LinearFit
     noise: Noise
     excess: Excess
+    flicker: float
 
 
 def _fit(data: WaveData, terms: tuple[Term, ...]) -> _Fit:
@@ -165,13 +168,16 @@ def _fit(data: WaveData, terms: tuple[Term, ...]) -> _Fit:
     layout = replace(data.base, terms=terms)
     noise: Noise = {}
     excess: Excess = {}
+    flicker = 0.0
     solution = data.solve(layout, noise, excess, None)
     for _ in range(_ROUNDS):
         # from too little trust to more: a recording that looks quiet by chance must not pull the fit onto itself
-        noise = data.measured(layout, solution)
-        excess = data.excess(noise, solution)
-        solution = data.solve(layout, noise, excess, solution)
-    return _Fit(layout, solution, noise, excess)
+        weights = (noise, excess, flicker)
+        noise = data.noise(layout, solution, weights)
+        excess = data.excess(noise, solution, weights)
+        flicker = data.flicker(noise, excess, solution)
+        solution = data.solve(layout, noise, excess, solution, flicker)
+    return _Fit(layout, solution, noise, excess, flicker)
 
 
 def _selected(data: WaveData) -> WholeAngleEstimate:
@@ -180,13 +186,13 @@ def _selected(data: WaveData) -> WholeAngleEstimate:
     gains: dict[str, float] = {}
     candidates = [t for t in TERMS if _may_show(data, t)]
     while candidates:
-        rough = {term.name: _gain(data, best, term, best.noise, best.excess) for term in candidates}
+        rough = {term.name: _gain(data, best, term, best) for term in candidates}
         term = max(candidates, key=lambda t: rough[t.name] - _limit(t))
         if rough[term.name] <= _limit(term):
             break
         rich = _fit(data, (*best.layout.terms, term))
         # again with the noise of the richer fit: the poorer one's misfit leaks into its own noise
-        gain = _gain(data, best, term, rich.noise, rich.excess)
+        gain = _gain(data, best, term, rich)
         if gain <= _limit(term):
             break
         best, gains[term.name] = rich, gain
@@ -199,12 +205,13 @@ def _limit(term: Term) -> float:
     return float(chdtri(2 * len(term.coefficients), _CHANCE))
 
 
-def _gain(data: WaveData, fit: _Fit, term: Term, noise: Noise, excess: Excess) -> float:
-    """Chi-square that a further term takes away; nothing where it cannot be told from the rest."""
+def _gain(data: WaveData, fit: _Fit, term: Term, weights: _Fit) -> float:
+    """Chi-square that a further term takes away, weighed as in ``weights``; nothing where it cannot be told from the rest."""
     layout = replace(fit.layout, terms=(*fit.layout.terms, term))
     try:
-        poor = data.solve(fit.layout, noise, excess, fit.solution)
-        rich = data.solve(layout, noise, excess, _with_room(fit.solution, len(term.coefficients)))
+        poor = data.solve(fit.layout, weights.noise, weights.excess, fit.solution, weights.flicker)
+        before = _with_room(fit.solution, len(term.coefficients))
+        rich = data.solve(layout, weights.noise, weights.excess, before, weights.flicker)
     except CalibrationRefused:
         return 0.0
     return poor.chi2 - rich.chi2 if rich.condition_number < _WORST_CONDITION else 0.0
@@ -256,7 +263,7 @@ def _estimate(data: WaveData, fit: _Fit, gains: Mapping[str, float]) -> WholeAng
 def _flow(data: WaveData, fit: _Fit, covariance: FloatArray) -> SlowFlowEstimate:
     """The part that other experiments have too, in their form."""
     solution = fit.solution
-    scores = data.scores(fit.noise, solution)
+    scores = data.scores(data.quiet_noise(fit.layout, solution), solution, (fit.noise, fit.excess, fit.flicker))
     # the frequency of a wave holds the wander of its resonance, which is nobody's misfit
     judged = [score for (i, channel), score in scores.items() if channel != "frequency" or not in_wave_frame(data.recordings[i])]
     spare = solution.dof / max(sum(count for _, count in scores.values()), 1)

@@ -1,4 +1,6 @@
-"""What follows from the slow flow of a whole-angle gyro, with covariance: rate, biases, scale factors, drive chain, damping and stiffness axes."""
+"""What follows from the slow flow of a whole-angle gyro, with covariance: rate, biases, scale factors, drive chain, damping and
+stiffness axes.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +27,8 @@ ComplexArray = NDArray[np.complex128]
 _AXIS = {"x": 0, "y": 1}
 #: azimuths over a period of 4 theta: exact means up to its 4th harmonic
 _AZIMUTHS = 5
+#: how well kappa is known where the factory does not say, relative (effects.md row 41: ppm); it is the whole scale factor of a free wave
+KAPPA_SD = 20e-6
 #: what enters the covariance besides the recordings: n, rho, r, eps, drive-gain ratio (separation), kappa, latency, fixed rate difference,
 #: crosstalk in phase with 2 delta and with 2 lambda
 NUISANCES = 10
@@ -71,7 +75,7 @@ class WholeAngleValues:
     ) -> None:
         self.estimate, self.priors, self.amplitude = estimate, priors, amplitude_v
         self.kappa = float(factory["angular_gain_kappa"])
-        self._kappa_sd = _number(factory, "angular_gain_kappa_sd")
+        self._kappa_sd = _number(factory, "angular_gain_kappa_sd") or KAPPA_SD * self.kappa
         self._difference = _number(factory, "fixed_rate_difference_rad_s"), _number(factory, "fixed_rate_difference_sd_rad_s")
         ratio = _number(factory, "drive_gain_ratio_x_over_y")
         self.drive_ratio = ratio if ratio > 0.0 else None
@@ -164,8 +168,9 @@ class WholeAngleValues:
     def _free_wave(
         self, at_rest: ComplexArray, G: ComplexArray, E: ComplexArray, kappa: float, latency_s: float, compensation: FloatArray
     ) -> dict[str, float]:
-        """Bias and scale factor of ``-2 theta'/kappa``: mean over the azimuth at rest; over whole turns, a turning wave shows the true angle
-        whatever the pick-offs, so that only the latency of the loops is left in the scale factor. And the harmonics of the drift in 4 theta.
+        """Bias and scale factor of ``-2 theta'/kappa``: mean over the azimuth at rest; over whole turns, a turning wave shows the true
+        angle whatever the pick-offs, so that only the latency of the loops is left in the scale factor. And the harmonics of the drift in 4
+        theta.
         """
         angles = 2.0 * math.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
         rates = np.array(
@@ -204,7 +209,9 @@ class WholeAngleValues:
 
 
 def _axes(at_rest: ComplexArray, frame: PickoffFrame) -> dict[str, float]:
-    """Damping and stiffness in the pick-offs' orthogonal axes: 1/tau, D(1/tau) and theta_tau, D omega and theta_omega of theory.md Eq. 1."""
+    """Damping and stiffness in the pick-offs' orthogonal axes: 1/tau, D(1/tau) and theta_tau, D omega and theta_omega of theory.md Eq.
+    1.
+    """
     n = 0.5 * frame.skew
     pick = np.array([[1.0, n], [n, frame.ratio]])
     inner = np.linalg.solve(pick, frame.without_phase(at_rest)) @ pick

@@ -3,9 +3,20 @@
 from .bench_plans import BENCH_PLANS, factory_plan, pickoff_phase_plan
 from .instrument import Instrument
 from .plan import Limits, Plan, Step
-from .plans import PLANS, QUALITIES, cubic_plan, feedthrough_plan, plan_by_name, self_calibration_plan, sideband_plan, static_plan
+from .plans import (
+    PLANS,
+    QUALITIES,
+    cubic_plan,
+    feedthrough_plan,
+    mission_mode,
+    plan_by_name,
+    self_calibration_plan,
+    sideband_plan,
+    static_plan,
+)
 from .runner import Progress, run_plan
 from .simulated import SimulatedInstrument
+from .whole_angle_plans import scale_factor_plan, virtual_precession_plan
 
 __all__ = [
     "BENCH_PLANS",
@@ -20,10 +31,13 @@ __all__ = [
     "cubic_plan",
     "factory_plan",
     "feedthrough_plan",
+    "mission_mode",
     "pickoff_phase_plan",
     "plan_by_name",
     "run_plan",
+    "scale_factor_plan",
     "self_calibration_plan",
     "sideband_plan",
     "static_plan",
+    "virtual_precession_plan",
 ]

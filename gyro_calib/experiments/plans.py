@@ -1,4 +1,4 @@
-"""The plans of a force-rebalance gyro: what to command, for how long, in which order, and why.
+"""The plans: what to command, for how long, in which order, and why (whole-angle steps: :mod:`.whole_angle_plans`).
 
 Times are device time. Qualities differ in duration only: ``quick`` for a first look, ``standard`` for a mission, ``fine`` for a bench.
 """
@@ -12,8 +12,19 @@ from typing import Any
 from ..errors import DataError
 from ..recording.command import Command, Excitation, Setpoints
 from .plan import Limits, Plan, Step
+from .whole_angle_plans import scale_factor_plan, scale_factor_steps, virtual_precession_plan, virtual_precession_steps
 
-__all__ = ["PLANS", "QUALITIES", "cubic_plan", "feedthrough_plan", "plan_by_name", "self_calibration_plan", "sideband_plan", "static_plan"]
+__all__ = [
+    "PLANS",
+    "QUALITIES",
+    "cubic_plan",
+    "feedthrough_plan",
+    "mission_mode",
+    "plan_by_name",
+    "self_calibration_plan",
+    "sideband_plan",
+    "static_plan",
+]
 
 
 @dataclass(frozen=True)
@@ -97,14 +108,21 @@ def static_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits
 
 
 def self_calibration_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
-    """Everything a force-rebalance gyro needs: feedthrough, pick-off phase, side bands on both axes."""
+    """Everything that the gyro's mission needs: feedthrough and pick-off phase; then side bands on both axes (force to rebalance), or
+    ring-down, stiffness control and virtual precession (whole angle).
+    """
     q = _quality(quality)
-    return Plan(
-        "self_calibrate",
-        (*_open_steps(q, factory), *_loop_steps(q, _amplitude(factory))),
-        limits or Limits(),
-        _mission(factory),
-    )
+    if mission_mode(factory) == "whole_angle":
+        steps = [*scale_factor_steps(factory, quality), *virtual_precession_steps(factory, quality)]
+    else:
+        steps = _loop_steps(q, _amplitude(factory))
+    return Plan("self_calibrate", (*_open_steps(q, factory), *steps), limits or Limits(), _mission(factory))
+
+
+def mission_mode(factory: Mapping[str, Any]) -> str:
+    """Mode of the mission: what the factory says, else whole angle for a hemisphere and force to rebalance for any other resonator."""
+    stated = factory.get("mission_mode")
+    return str(stated) if stated else ("whole_angle" if factory.get("kind") == "hrg" else "ftr_x")
 
 
 def cubic_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
@@ -122,6 +140,8 @@ PLANS: dict[str, Callable[..., Plan]] = {
     "feedthrough": feedthrough_plan,
     "static": static_plan,
     "self_calibrate": self_calibration_plan,
+    "virtual_precession": virtual_precession_plan,
+    "scale_factor": scale_factor_plan,
 }
 
 
@@ -136,7 +156,7 @@ def _amplitude(factory: Mapping[str, Any]) -> float:
 
 
 def _mission(factory: Mapping[str, Any]) -> Command:
-    return Command("ftr_x", setpoints=Setpoints(_amplitude(factory)))
+    return Command(mission_mode(factory), setpoints=Setpoints(_amplitude(factory)))
 
 
 def _loop_steps(q: Quality, amplitude: float, suffix: str = "") -> list[Step]:

@@ -21,6 +21,8 @@ _PARAMETERS = (
     *("A_xy_re", "A_xy_im", "A_yx_re", "A_yx_im", "decay_rate_x", "decay_rate_y"),
     *(f"G_{i}{j}_{part}" for i in "xy" for j in "xy" for part in ("re", "im")),
 )
+#: absolute temperature of the campaign [K]
+_ROOM_K = 298.15
 _DERIVED = ("rate", "mission_bias_x", "mission_scale_x")
 
 
@@ -42,6 +44,7 @@ def run(seed: int) -> dict[str, float]:
         bodies=bodies,
         wander_rad_s=wander,
         wander_density=resonance_wander_density(trial.device),
+        damping_wander=resonator.quality_exponent * resonator.decay_rate() * trial.device.environment.wander_k / _ROOM_K,
     )
     _, best = problem.propagate(bound)
     nominal = trial.campaign.factory["nominal_scale_factor_v_per_rad_s"]["x"]
