@@ -118,7 +118,7 @@ def test_kappa_of_another_plants_table_runs(name: str) -> None:
     true = truth(name)
     found = calibrate_factory(load_campaign(BENCH / f"{name}.h5", check=False))
     assert abs(found.angular_gain_kappa.value - true["angular_gain_kappa"]) < 2 * found.angular_gain_kappa.sd
-    assert found.angular_gain_kappa.sd < 200e-6
+    assert found.angular_gain_kappa.sd < 300e-6
     assert abs(found.pickoff_ratio.value - abs(true["ratio"])) < 3 * found.pickoff_ratio.sd
     assert abs(found.pickoff_ratio.value - abs(true["ratio"])) < 100e-6
 

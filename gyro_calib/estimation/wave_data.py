@@ -138,7 +138,8 @@ class WaveData:
             return left
         sd, gram = self.deviations(index, noise, excess), self.signal[index].gram
         re, im = (
-            part - common @ np.linalg.solve(gram * np.outer(s, s) + common, part) for part, s in ((left.real, sd.real), (left.imag, sd.imag))
+            part - common @ np.linalg.solve(gram * np.outer(s, s) + common, part)
+            for part, s in ((left.real, sd.real), (left.imag, sd.imag))
         )
         return np.asarray(re + 1j * im)
 
