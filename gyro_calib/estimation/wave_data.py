@@ -146,9 +146,10 @@ class WaveData:
     def flicker(self, noise: Noise, excess: Excess, solution: LinearFit) -> float:
         """Flicker of forces that do not follow the wave: by how much their means differ between recordings, beyond their noise [V^2/s^2].
 
-        Read from what the fit leaves of waves that turned by more than half a turn of psi: only there does it not pass for damping.
+        Read from what the fit leaves of waves that turned by more than half a turn of psi: only there does it not pass for damping. A few
+        means say little of their spread: one standard deviation of it is added.
         """
-        beyond = []
+        squares, chance = [], []
         for i, (p, left) in enumerate(zip(self.signal, solution.residuals, strict=True)):
             if p.turn_rad < math.pi or not in_wave_frame(self.recordings[i]):
                 continue
@@ -158,8 +159,13 @@ class WaveData:
             values = np.concatenate([left.real / sd.real, left.imag / sd.imag])
             inverse = np.linalg.inv(rows.T @ rows)
             found = inverse @ (rows.T @ values)
-            beyond += list(found**2 - np.diag(inverse))
-        return max(float(np.mean(beyond)), 0.0) / _BETWEEN if beyond else 0.0
+            squares += list(found**2)
+            chance += list(np.diag(inverse))
+        if not squares:
+            return 0.0
+        # the fit has taken the four means of all recordings out
+        spread, noise_part = float(np.sum(squares)) / max(len(squares) - 4, 1), float(np.mean(chance))
+        return (max(spread - noise_part, 0.0) + max(spread, noise_part) * math.sqrt(2.0 / len(squares))) / _BETWEEN
 
     def deviations(self, index: int, noise: Noise, excess: Mapping[tuple[int, str], float]) -> ComplexArray:
         """Standard deviations of a recording's equations, of their real parts and (as imaginary part) of their imaginary ones."""
@@ -201,7 +207,7 @@ class WaveData:
         look
         quieter still, and so on. The flicker that ``weights`` already allow for is taken out.
         """
-        samples = self._samples(layout, solution, weights)
+        samples, quiet = self._samples(layout, solution, weights), self.quiet_noise(layout, solution)
         longest: dict[str, float] = {}
         for r in self.recordings:
             longest[role_of(r)] = max(longest.get(role_of(r), 0.0), r.duration_s)
@@ -217,6 +223,10 @@ class WaveData:
                 if self._wanders(i, channel):
                     f, squares = samples[i, channel]
                     found[i, channel] = _Wander.of(f, squares, 0.3 / r.duration_s)
+                    continue
+                if "applied_rate" in r.extras:
+                    # a table's course is never quite what it is said to be: what the quiet lines leave counts at all lines
+                    found[i, channel] = quiet[i, channel]
                     continue
                 found[i, channel] = _not_below(roles[role_of(r)], common) if common and in_wave_frame(r) else roles[role_of(r)]
         return found
