@@ -171,7 +171,7 @@ int carrier_rows(double *z, double *loop, const double *param, double *adc_acc, 
                 double volty = ((pk[4] * x + pk[5] * vx) + (pk[6] * y + pk[7] * vy)) + (eyr * c - eyi * s + pick_noise * noise[3]);
                 if (flags & FLAG_PICKOFF_CUBIC) {
                     voltx += converters[4] * voltx * voltx * voltx;
-                    volty += converters[4] * volty * volty * volty;
+                    volty += converters[7] * volty * volty * volty;
                 }
                 if (flags & FLAG_CONVERTERS) {
                     voltx = converter(voltx, converters[0], converters[1]);

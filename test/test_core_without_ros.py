@@ -18,9 +18,10 @@ CORE = [path for path in MODULES if path.relative_to(PACKAGE).parts[0] not in ("
 
 #: a folder -> those it may import; others of the package are above it
 BELOW = {
-    "device": set(),
+    "effects": set(),
+    "device": {"effects"},
     "recording": set(),
-    "simulation": {"device", "recording"},
+    "simulation": {"device", "effects", "recording"},
 }
 
 IMPORT_ALL = """

@@ -22,6 +22,7 @@ from gyro_calib.recording.command import Command, Excitation
 from gyro_calib.recording.rate import raw_rate
 from gyro_calib.simulation import GyroSimulator
 from gyro_calib.simulation.normals import LANES, NormalSource, random_words
+from gyro_calib.simulation.truth import operating_point
 
 FIDELITIES = ("carrier", "slow_flow")
 #: minutes of device time: as plain Python they would take an hour
@@ -212,6 +213,28 @@ def test_bias_and_scale_factor_are_what_truth_says(unit: Device, fidelity: str, 
     assert abs(truth.bias_rad_s) > 1e-4
     assert measured[0] == pytest.approx(truth.bias_rad_s, abs=3e-8)  # 0.006 deg/h
     assert (measured[1] - measured[0]) / 0.05 == pytest.approx(truth.scale_factor, rel=2e-6)
+
+
+@compiled_only
+@pytest.mark.parametrize("mode", ["ftr_x", "ftr_y"])
+def test_truth_knows_the_drive_compensation_of_a_force_rebalance_gyro(unit: Device, mode: str) -> None:
+    found = {}
+    for compensation in ((1.0, 0.0, 0.0, 1.0), (0.9, 0.4, -0.3, 1.2)):
+        simulator = quiet(unit, "slow_flow")
+        simulator.configure(Command(mode, compensation=compensation))
+        simulator.advance(4.0)
+        rows = simulator.advance(0.2)
+        truth = simulator.truth()
+        measured = raw_rate(rows, simulator.command, simulator.factory).mean()
+        assert measured == pytest.approx(truth.bias_rad_s, abs=3e-8)
+        # the PLL works before the matrix: the frequency moves with it
+        point = operating_point(unit, simulator.command, 0.0)
+        frequency = (unit.slow_flow().omega0_rad_s + point.detuning_rad_s) / (2.0 * math.pi)
+        assert rows[:, column_index("ref_freq")].mean() == pytest.approx(frequency, abs=1e-6)
+        found[compensation] = truth.bias_rad_s, frequency
+    (plain, first), (compensated, second) = found.values()
+    assert abs(compensated - plain) > 3e-7
+    assert abs(second - first) > 1e-3
 
 
 # ---------------------------------------------------------------- noise

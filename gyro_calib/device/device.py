@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects import checked_sizes
 from ..errors import DeviceError
 from .chains import DriveChain, Feedthrough, PickoffChain
 from .electronics import SLOTS, Electronics, Environment, Loops, Multiplexing, Noise
@@ -95,6 +97,8 @@ class Device:
         What a calibrator may know.
     resonator, drive, pickoff, feedthrough, nonlinearity, electronics, multiplexing, loops, noise, environment
         Its parts.
+    effects : mapping
+        Effects that the linear model leaves out: name -> parameter -> size, of the catalogue :data:`gyro_calib.effects.EFFECTS`.
     """
 
     device_id: str
@@ -109,10 +113,12 @@ class Device:
     loops: Loops = field(default_factory=Loops)
     noise: Noise = field(default_factory=Noise)
     environment: Environment = field(default_factory=Environment)
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         if not self.device_id:
             raise DeviceError("Device device_id must be a non-empty text, but got ''.")
+        object.__setattr__(self, "effects", checked_sizes(self.effects))
         samples = self.electronics.adc_rate_hz / self.resonator.frequency_hz
         if samples < 8.0:
             raise DeviceError(

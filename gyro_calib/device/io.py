@@ -73,6 +73,8 @@ def device_to_dict(device: Device) -> dict[str, Any]:
     document: dict[str, Any] = {"schema": SCHEMA, "device_id": device.device_id}
     for key in _PARTS:
         document[key] = dataclasses.asdict(getattr(device, "factory_data" if key == "factory" else key))
+    if device.effects:
+        document["effects"] = {name: dict(sizes) for name, sizes in device.effects.items()}
     return document
 
 
@@ -80,14 +82,14 @@ def device_from_dict(document: Any) -> Device:
     """Inverse of :func:`device_to_dict`; parts other than the required ones default."""
     if not isinstance(document, Mapping):
         raise DeviceError(f"Device document must be a mapping, but got {type(document).__name__}.")
-    unknown = sorted(set(map(str, document)) - set(_PARTS) - {"schema", "device_id"})
+    unknown = sorted(set(map(str, document)) - set(_PARTS) - {"schema", "device_id", "effects"})
     missing = [key for key in ("device_id", *_REQUIRED) if key not in document]
     if unknown or missing:
         raise DeviceError(f"Device document must have known keys, but got unknown {unknown} and missing {missing}.")
     if document.get("schema", SCHEMA) != SCHEMA:
         raise DeviceError(f"Device schema must be {SCHEMA}, but got {document['schema']!r}.")
     parts = {"factory_data" if key == "factory" else key: _build(_PARTS[key], key, document[key]) for key in _PARTS if key in document}
-    return Device(device_id=str(document["device_id"]), **parts)
+    return Device(device_id=str(document["device_id"]), effects=document.get("effects") or {}, **parts)
 
 
 def _build(kind: type[T], name: str, values: Any) -> T:

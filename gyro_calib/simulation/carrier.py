@@ -15,11 +15,15 @@ from ..device.electronics import SLOTS
 from ..jit import kernel
 from .control import control_step
 from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT, middle_motion
+from .effect_kernels import always_on_forces, effect_samples, stray_feeds
+from .effect_layout import E_GAIN
+from .effect_memory import drive_phasors, pick_phasors
 from .multiplex import READ_X, READ_Y, hold_columns, slot_envelope, slot_gains
 from .propagator import exact_propagator
 
 __all__ = [
     "FLAG_CONVERTERS",
+    "FLAG_EFFECTS",
     "FLAG_MULTIPLEXED",
     "FLAG_NONLINEAR",
     "FLAG_PICKOFF_CUBIC",
@@ -33,7 +37,7 @@ __all__ = [
 ]
 
 FLAG_NONLINEAR, FLAG_CONVERTERS, FLAG_PICKOFF_CUBIC, FLAG_PICKOFF_GAP, FLAG_RAW = 1, 2, 4, 8, 16
-FLAG_MULTIPLEXED, FLAG_TWICE, FLAG_STRAY = 32, 64, 128
+FLAG_MULTIPLEXED, FLAG_TWICE, FLAG_STRAY, FLAG_EFFECTS = 32, 64, 128, 256
 #: x pick-off, y pick-off, x drive as the converter holds it, y drive [V], phase reference [rad]
 RAW_CHANNELS = 5
 
@@ -84,8 +88,9 @@ def _write_raw(volts, phase, advance, axr, axi, ayr, ayi, settling, line, first)
 
 @kernel
 def carrier_rows(  # type: ignore[no-untyped-def]
-    z, loop, param, adc_acc, row_acc, adc_w, row_w, physics, drive, stray, pick, feed, body, nonlinear, converters, const, flags, noise, out
-):
+    z, loop, param, adc_acc, row_acc, adc_w, row_w, physics, drive, stray, pick, feed, body, nonlinear, converters, const, flags, noise,
+    out, effect, memory, effect_rows, gain_noise,
+):  # fmt: skip
     """Simulate ``out.shape[0]`` rows, in place.
 
     Parameters
@@ -111,8 +116,9 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         Force per mass and volt of the body excitation [m/s^2/V].
     nonlinear : ndarray, shape (6,)
         See :class:`gyro_calib.device.Nonlinearity`.
-    converters : ndarray, shape (7,)
-        ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic [1/V^2], one over the gap of x and y in pick-off volts [1/V].
+    converters : ndarray, shape (8,)
+        ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic of x [1/V^2], one over the gap of x and y in pick-off volts
+        [1/V], pick-off cubic of y [1/V^2]. The step of the DAC is the effect kernels'.
     const : ndarray, shape (5,)
         Sample time [s], nominal w [rad/s], pick-off noise [V per sample], samples in which a multiplexed chain settles, factor of the drive
         per metre of motion with FLAG_TWICE [1/m].
@@ -123,6 +129,12 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     out : ndarray, shape (rows, 9), or (rows, 9 + RAW_CHANNELS controls samples) with FLAG_RAW
         x_pick_c, x_pick_s, y_pick_c, y_pick_s, x_drive_c, x_drive_s, y_drive_c, y_drive_s, reference omega [rad/s]; then the raw samples
         made while the row was under way (the row itself is centred earlier, by the delay of its filter).
+    effect, memory : ndarray, shape (N_EFFECT,) and (N_MEMORY,)
+        Numbers and state of the effects (:mod:`.effect_layout`), with FLAG_EFFECTS.
+    effect_rows : ndarray, shape (rows, N_ROW), or (0, N_ROW) without FLAG_EFFECTS
+        What of the effects changes from row to row.
+    gain_noise : ndarray, shape (rows controls,), or (0,)
+        Standard normals of the pick-offs' gain, one per control period; empty: a steady gain.
     """
     rows = out.shape[0]
     samples = adc_w.shape[1]
@@ -137,6 +149,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     nonlinear_on, converters_on, cubic_on = flags & FLAG_NONLINEAR != 0, flags & FLAG_CONVERTERS != 0, flags & FLAG_PICKOFF_CUBIC != 0
     gap_on, raw_on = flags & FLAG_PICKOFF_GAP != 0, flags & FLAG_RAW != 0
     multiplexed, twice_on, stray_on = flags & FLAG_MULTIPLEXED != 0, flags & FLAG_TWICE != 0, flags & FLAG_STRAY != 0
+    effects_on = flags & FLAG_EFFECTS != 0
     settling = int(const[3]) if multiplexed else 0
     on_share, due = (samples - settling) / samples, True
     half_kick = -0.5 * dt / w
@@ -159,8 +172,11 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             # firmware advances the drive by half a hold, so the hold's delay does not turn the force
             half = 0.5 * omega * dt
             ca, sa = math.cos(half), math.sin(half)
-            axr, axi = uxc * ca - uxs * sa, uxc * sa + uxs * ca
-            ayr, ayi = uyc * ca - uys * sa, uyc * sa + uys * ca
+            qxc, qxs, qyc, qys = uxc, uxs, uyc, uys
+            if effects_on:
+                qxc, qxs, qyc, qys = drive_phasors(memory, effect, uxc, uxs, uyc, uys)
+            axr, axi = qxc * ca - qxs * sa, qxc * sa + qxs * ca
+            ayr, ayi = qyc * ca - qys * sa, qyc * sa + qys * ca
             if multiplexed:
                 gx, gy = slot_gains(loop)
                 gx, gy = gx / on_share, gy / on_share
@@ -178,6 +194,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 wxi += b[0] * qxi + b[1] * qxr + b[2] * qyi + b[3] * qyr
                 wyr += b[4] * qxr - b[5] * qxi + b[6] * qyr - b[7] * qyi
                 wyi += b[4] * qxi + b[5] * qxr + b[6] * qyi + b[7] * qyr
+            factor = 1.0
             if twice_on:
                 factor = const[4] * middle_motion(loop, math.sqrt((x * x + y * y) + (vx * vx + vy * vy)))
                 fxr, fxi, fyr, fyi = factor * fxr, factor * fxi, factor * fyr, factor * fyi
@@ -188,7 +205,18 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             eyi = feed[4] * uxs + feed[5] * uxc + feed[6] * uys + feed[7] * uyc
             turn_c, turn_s = math.cos(omega * dt), math.sin(omega * dt)
             c, s = math.cos(phase), math.sin(phase)
-            for j in range(samples):
+            if effects_on:
+                z[0], z[1], z[2], z[3] = x, y, vx, vy
+                always = always_on_forces(z, memory, effect, b, c, s, ca, sa, wxr, wxi, wyr, wyi)
+                feeds = stray_feeds(memory, effect, effect_rows[row], uxc, uxs, uyc, uys, exr, exi, eyr, eyi)
+                gain = 1.0 + effect[E_GAIN] * gain_noise[row * controls + step] if gain_noise.size > 0 else 1.0
+                effect_samples(
+                    z, volts, memory, effect, effect_rows[row], phi, gamma, b, pk, (axr, axi, ayr, ayi), always, feeds, phase, omega, dt, w,
+                    settling, factor, gain, kick, pick_noise, nonlinear, converters, noise, n,
+                )  # fmt: skip
+                x, y, vx, vy = z[0], z[1], z[2], z[3]
+                n += 4 * samples
+            for j in range(0 if effects_on else samples):
                 # Re[P Z e^{i phi}] with Im[Z e^{i phi}] = -velocity / w
                 voltx = (pk[0] * x + pk[1] * vx) + (pk[2] * y + pk[3] * vy)
                 volty = (pk[4] * x + pk[5] * vx) + (pk[6] * y + pk[7] * vy)
@@ -199,7 +227,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 volty += eyr * c - eyi * s + pick_noise * noise[n + 3]
                 if cubic_on:
                     voltx += converters[4] * voltx * voltx * voltx
-                    volty += converters[4] * volty * volty * volty
+                    volty += converters[7] * volty * volty * volty
                 if converters_on:
                     voltx = _converter(voltx, converters[0], converters[1])
                     volty = _converter(volty, converters[0], converters[1])
@@ -243,6 +271,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 xc, xs, yc, ys = xc + h0 * v0, xs + h0 * v1, yc + h0 * v2, ys + h0 * v3
                 n00, n01, n02, n03 = n00 + h1 * v0, n01 + h1 * v1, n02 + h1 * v2, n03 + h1 * v3
                 n10, n11, n12, n13 = n10 + h2 * v0, n11 + h2 * v1, n12 + h2 * v2, n13 + h2 * v3
+            if effects_on:
+                xc, xs, yc, ys = pick_phasors(memory, effect, xc, xs, yc, ys)
             line = steps[step]
             line[0], line[1], line[2], line[3] = xc, xs, yc, ys
             line[4], line[5], line[6], line[7], line[8] = uxc, uxs, uyc, uys, omega

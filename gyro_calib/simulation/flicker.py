@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-__all__ = ["FlickerSource"]
+__all__ = ["FLICKER_TIMES_S", "FlickerSource"]
 
 FloatArray = NDArray[np.float64]
 #: correlation times [s]; the floor holds between a second and some hours
-_TIMES_S = 0.25 * 4.0 ** np.arange(10)
+FLICKER_TIMES_S = 0.25 * 4.0 ** np.arange(10)
 
 
 class FlickerSource:
@@ -38,15 +38,15 @@ class FlickerSource:
         self._rng = rng
         self._floor = floor
         self._channels = channels
-        self._keep = np.exp(-row_s / _TIMES_S)
-        self._state = floor * rng.standard_normal((_TIMES_S.size, channels)) if floor > 0.0 else np.zeros((_TIMES_S.size, channels))
+        self._keep = np.exp(-row_s / FLICKER_TIMES_S)
+        self._state = floor * rng.standard_normal((FLICKER_TIMES_S.size, channels)) if floor > 0.0 else np.zeros((FLICKER_TIMES_S.size, channels))
 
     def rows(self, count: int) -> FloatArray:
         """Noise of the next rows, shape (count, channels)."""
         total = np.zeros((count, self._channels))
         if self._floor == 0.0:
             return total
-        kicks = self._rng.standard_normal((count, _TIMES_S.size, self._channels))
+        kicks = self._rng.standard_normal((count, FLICKER_TIMES_S.size, self._channels))
         for k, keep in enumerate(self._keep):
             scale = self._floor * math.sqrt(1.0 - keep**2)
             wander, _ = lfilter([1.0], [1.0, -keep], scale * kicks[:, k], axis=0, zi=keep * self._state[None, k])

@@ -13,6 +13,17 @@ from ..device import Device, J
 from ..device.electronics import SLOTS
 from ..device.operating_point import OperatingPoint
 from . import carrier, control_layout, filters
+from .effect_envelope import ENVELOPE_EFFECTS, envelope_constants
+from .effect_layout import N_EFFECT, N_MEMORY, N_ROW
+from .effect_rows import SLOW_EFFECTS, SlowEffects, add_to_carrier, flow_with, kernel_rows
+from .effect_setup import (
+    converter_constants,
+    kernel_constants,
+    nonlinear_coefficients,
+    refuse_without_envelope,
+    started_memory,
+    uses_kernel,
+)
 from .flicker import FlickerSource
 from .normals import NormalSource
 from .slow_flow import slow_flow_rows
@@ -131,25 +142,25 @@ class CarrierPlant(_Base):
         if device.multiplexing.enabled:
             tail = np.array([1.0, 0.0])
         self.adc_acc = tail[:, None] * self.channels0[None, :4]
-        e = device.electronics
-        full = (e.adc_full_scale_v, e.dac_full_scale_v)
-        self.converters = np.array(
-            [
-                full[0],
-                2.0 * full[0] / 2**e.adc_bits if e.adc_bits else 0.0,
-                full[1],
-                2.0 * full[1] / 2**e.dac_bits if e.dac_bits else 0.0,
-                device.pickoff.cubic_per_v2,
-                *device.pickoff.per_gap_v,
-            ]
-        )
+        self.converters = converter_constants(device)
+        self.nonlinear = nonlinear_coefficients(device)
+        self._slow = SlowEffects(device) if device.effects or uses_kernel(device) else None
+        self.effect, self.memory = np.zeros(N_EFFECT), np.zeros(N_MEMORY)
+        if uses_kernel(device):
+            unpick = np.asarray(np.linalg.inv(device.pickoff_matrix(self._rise0())), dtype=np.complex128)
+            volts = start.pick + device.feedthrough_matrix() @ start.drive
+            self.effect = kernel_constants(device)
+            self.memory = started_memory(self.effect, start.pick, volts, start.drive, unpick)
+        # a stream of its own: a device without this noise keeps its rows
+        self._gain_noise = np.random.default_rng(rng.integers(0, 2**63, size=4)) if noisy and "amplitude_noise" in device.effects else None
         self.flags = (
-            (carrier.FLAG_NONLINEAR if any(device.nonlinearity.coefficients) else 0)
-            | (carrier.FLAG_PICKOFF_CUBIC if device.pickoff.cubic_per_v2 else 0)
+            (carrier.FLAG_NONLINEAR if self.nonlinear.any() else 0)
+            | (carrier.FLAG_PICKOFF_CUBIC if self.converters[4] or self.converters[7] else 0)
             | (carrier.FLAG_PICKOFF_GAP if device.pickoff.gap_amplitude_v else 0)
             | (carrier.FLAG_MULTIPLEXED if device.multiplexing.enabled else 0)
             | (carrier.FLAG_TWICE if device.drive.at_twice_frequency else 0)
             | (carrier.FLAG_STRAY if self._has_flicker else 0)
+            | (carrier.FLAG_EFFECTS if uses_kernel(device) else 0)
             | carrier.FLAG_CONVERTERS
         )
 
@@ -177,12 +188,28 @@ class CarrierPlant(_Base):
         rise = temperature_degc - d.resonator.reference_temperature_degc
         drive = _scaled(_parts(d.drive.matrix()), 1.0 + d.drive.gain_tempco_per_k * rise)
         pick = _scaled(_parts(d.pickoff_matrix()), 1.0 + d.pickoff.gain_tempco_per_k * rise)
+        effect_rows, gain_noise = np.zeros((0, N_ROW)), np.zeros(0)
+        if self._slow is not None:
+            drive, pick, effect_rows = self._slow_effects(rate_rad_s, temperature_degc, physics, drive, pick)
+        if self._gain_noise is not None:
+            gain_noise = self._gain_noise.standard_normal(count * self.row_w.shape[2])
         carrier.carrier_rows(
             self.z, self.loop, self.param, self.adc_acc, self.row_acc, self.adc_w, self.row_w,
             physics, drive, self.stray_drive(count), pick, _parts(d.feedthrough_matrix()), d.drive.gain_m_s2_per_v,
-            np.array(d.nonlinearity.coefficients), self.converters, const, flags, noise, out,
+            self.nonlinear, self.converters, const, flags, noise, out, self.effect, self.memory, effect_rows, gain_noise,
         )  # fmt: skip
         return out
+
+    def _slow_effects(
+        self, rate_rad_s: FloatArray, temperature_degc: FloatArray, physics: FloatArray, drive: FloatArray, pick: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Put what the effects change from row to row into ``physics``; drive, pick-off and effect rows with them."""
+        assert self._slow is not None
+        r = self.device.resonator
+        omega = r.omega0_rad_s * (1.0 + r.frequency_tempco_per_k * (temperature_degc - r.reference_temperature_degc))
+        terms = self._slow.terms(rate_rad_s, temperature_degc)
+        mode = 2.0 * math.pi * self.device.effects.get("spurious_mode", {}).get("separation_hz", 0.0)
+        return *add_to_carrier(terms, physics, drive, pick, omega), kernel_rows(terms, omega + mode)
 
     def _physics_at(self, temperature_degc: float) -> FloatArray:
         """k11, k12, k22, c11, c12, c21, c22 without rotation, and the kick, as :func:`.carrier.carrier_rows` takes them."""
@@ -196,7 +223,12 @@ class SlowFlowPlant(_Base):
     """Theory.md Eq. 3 at the control rate; converter effects do not exist here."""
 
     def __init__(self, device: Device, rng: np.random.Generator, loop: FloatArray, start: OperatingPoint, *, noisy: bool) -> None:
+        refuse_without_envelope(device)
         super().__init__(device, rng, loop, start, noisy=noisy)
+        self._envelope = envelope_constants(device.effects)
+        self._bent = float(bool(ENVELOPE_EFFECTS & set(device.effects)))
+        self._nonlinear = nonlinear_coefficients(device)
+        self._slow = SlowEffects(device) if SLOW_EFFECTS & set(device.effects) else None
         volts = start.pick + device.feedthrough_matrix() @ start.drive
         self.p = _parts(start.pick)
         self.means = np.tile(_parts(volts), (2, 1))
@@ -209,22 +241,50 @@ class SlowFlowPlant(_Base):
     def rows(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> FloatArray:
         """See :class:`Plant`."""
         d = self.device
-        nonlinear = np.array(d.nonlinearity.coefficients)
+        nonlinear = self._nonlinear
         n = d.electronics.samples_per_control
         pick_noise = self.pickoff_density() / math.sqrt(self._period * (1.0 - self.settling / n))
         reading = 0.5 * (1.0 + (self.settling - 1.0) / n) if d.multiplexing.enabled else 0.5
         shares = np.array([1.0, 0.0, 0.0]) if d.multiplexing.enabled else self.shares
         per_metre = d.drive_factor_per_m if d.drive.at_twice_frequency else 0.0
         multiplexed, strayed = float(d.multiplexing.enabled), float(self._has_flicker)
-        const = np.array([self._period, pick_noise, float(nonlinear.any()), reading, multiplexed, per_metre, strayed])
+        const = np.array(
+            [
+                self._period,
+                pick_noise,
+                float(nonlinear.any()),
+                reading,
+                multiplexed,
+                per_metre,
+                strayed,
+                self._bent,
+                1.0 / d.pickoff.gain_v_per_m,
+            ]
+        )
         table, place = self._flow.table(temperature_degc)
+        coriolis = self._coriolis
+        if self._slow is not None:
+            table, place = self._with_slow_effects(rate_rad_s, temperature_degc)
+            coriolis = np.zeros(8)
         noise = self.normals(8 * rate_rad_s.size * self.row_w.shape[2])
         out = np.empty((rate_rad_s.size, 9))
         slow_flow_rows(
-            self.p, self.loop, self.param, self.means, self.row_acc, shares, self.row_w, table, place, self._coriolis, rate_rad_s,
+            self.p, self.loop, self.param, self.means, self.row_acc, shares, self.row_w, table, place, coriolis, rate_rad_s,
             self.stray_drive(rate_rad_s.size), self.pick, self.unpick, nonlinear, _parts(d.feedthrough_matrix()), const, noise, out,
+            self._envelope,
         )  # fmt: skip
         return out
+
+    def _with_slow_effects(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The flow of every row with rotation and what the effects change from row to row, as a table whose places are the rows."""
+        assert self._slow is not None
+        table = self._flow.rows(temperature_degc)
+        table[:, :8] += np.multiply.outer(rate_rad_s, self._coriolis)
+        A, G = (np.ascontiguousarray(table[:, k : k + 8]).view(np.complex128).reshape(-1, 2, 2) / self._period for k in (0, 8))
+        A, G = flow_with(self._slow.terms(rate_rad_s, temperature_degc), A, G, self.pick)
+        for k, matrix in ((0, A), (8, G)):
+            table[:, k : k + 8] = self._period * np.ascontiguousarray(matrix).reshape(-1, 4).view(np.float64)
+        return np.concatenate([table, table[-1:]]), np.arange(len(rate_rad_s), dtype=float)
 
     def _flow_at(self, temperature_degc: float) -> FloatArray:
         """Flow without rotation at a temperature, shape (FLOW_COLUMNS,)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -141,6 +141,27 @@ class GyroSimulator:
         self._segment += 1
         return self._segment
 
+    def move_to_temperature(self, temperature_degc: float, over_s: float = 0.0) -> None:
+        """Move the mean temperature of the resonator from now on, as a chamber does; ramp and wander of its environment go on about it.
+
+        Parameters
+        ----------
+        temperature_degc : float
+            Where it ends.
+        over_s : float
+            Device time that it takes, evenly; 0: at once.
+
+        Raises
+        ------
+        DeviceError
+            A temperature that is not physical, or a negative time.
+        """
+        if not over_s >= 0.0:
+            raise DeviceError(f"Argument over_s must be >= 0, but got {over_s!r}.")
+        # the environment checks the temperature; truth is at the new one
+        self._device = replace(self._device, environment=replace(self._device.environment, temperature_degc=temperature_degc))
+        self._wander.move_to(temperature_degc, self.time_s, over_s)
+
     def advance(self, duration_s: float, rate_rad_s: ArrayLike = 0.0) -> FloatArray:
         """Simulate and return the rows, shape (n, 12), ``n`` = duration in whole rows.
 
@@ -165,6 +186,9 @@ class GyroSimulator:
 
     def capture_raw(self, duration_s: float, rate_rad_s: ArrayLike = 0.0) -> Capture:
         """Simulate and return the converter samples besides the rows.
+
+        Lags, slow parts and skew of the pick-offs' electronics (effects) act behind the demodulator: the rows have them, the samples not.
+        Drives are what was commanded.
 
         Parameters
         ----------

@@ -17,6 +17,7 @@ from ..jit import kernel
 from .carrier import emit_row
 from .control import control_step
 from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_SLOT, middle_motion
+from .effect_envelope import bent_drive, bent_pickoff, effect_rate
 from .multiplex import READ_X, READ_Y, hold_columns, slot_gains
 
 __all__ = ["FLOW_COLUMNS", "slow_flow_rows"]
@@ -37,6 +38,15 @@ def _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear):
 
 
 @kernel
+def _effect_step(pxr, pxi, pyr, pyi, period, pick, unpick, per_volt, envelope):  # type: ignore[no-untyped-def]
+    """What damping, friction and pump add to ``T dp/dt`` (complex, V): in the axes of the motion, as at the carrier."""
+    px, py = complex(pxr, pxi) / per_volt, complex(pyr, pyi) / per_volt
+    rx, ry = effect_rate(unpick[0, 0] * px + unpick[0, 1] * py, unpick[1, 0] * px + unpick[1, 1] * py, envelope)
+    scale = period * per_volt
+    return scale * (pick[0, 0] * rx + pick[0, 1] * ry), scale * (pick[1, 0] * rx + pick[1, 1] * ry)
+
+
+@kernel
 def _motion(pxr, pxi, pyr, pyi, unpick):  # type: ignore[no-untyped-def]
     """Amplitude of the motion [m] of pick-off envelopes [V]."""
     px, py = complex(pxr, pxi), complex(pyr, pyi)
@@ -46,8 +56,9 @@ def _motion(pxr, pxi, pyr, pyi, unpick):  # type: ignore[no-untyped-def]
 
 @kernel
 def slow_flow_rows(  # type: ignore[no-untyped-def]
-    p, loop, param, means, row_acc, shares, row_w, table, place, coriolis, rate, stray, pick, unpick, nonlinear, feed, const, noise, out
-):
+    p, loop, param, means, row_acc, shares, row_w, table, place, coriolis, rate, stray, pick, unpick, nonlinear, feed, const, noise, out,
+    envelope,
+):  # fmt: skip
     """Simulate ``out.shape[0]`` rows, in place.
 
     Parameters
@@ -76,19 +87,22 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
         ``Nonlinearity.coefficients``.
     feed : ndarray, shape (8,)
         E: re, im of xx, xy, yx, yy.
-    const : ndarray, shape (7,)
+    const : ndarray, shape (9,)
         Control period [s], sd of the pick-off noise per period [V], 1 when there are nonlinear forces, place of a reading in its period (0
-        to 1), 1 when multiplexed, factor of the drive per metre of motion or 0 for none [1/m], 1 when there is stray drive.
+        to 1), 1 when multiplexed, factor of the drive per metre of motion or 0 for none [1/m], 1 when there is stray drive, 1 when effects
+        bend drive, pick-off or motion, motion per volt of the x pick-off [m/V].
     noise : ndarray, shape (8 rows controls,), float32
         Standard normals: force on x, y, then pick-off noise of x, y, each re, im.
     out : ndarray, shape (rows, 9)
         As in :func:`.carrier.carrier_rows`.
+    envelope : ndarray
+        Of :func:`.effect_envelope.envelope_constants`.
     """
     controls = row_w.shape[2]
     period, pick_noise, curved = const[0], const[1], const[2] > 0.0
     late, early, multiplexed, per_metre = const[3], 1.0 - const[3], const[4] > 0.0, const[5]
-    strayed, due = const[6] > 0.0, True
-    altered = multiplexed or per_metre > 0.0 or strayed
+    strayed, bent, per_volt, due = const[6] > 0.0, const[7] > 0.0, const[8], True
+    altered = multiplexed or per_metre > 0.0 or strayed or bent
     sh0, sh1, sh2 = shares[0], shares[1], shares[2]
     e0, e1, e2, e3, e4, e5, e6, e7 = feed[0], feed[1], feed[2], feed[3], feed[4], feed[5], feed[6], feed[7]
     steps = np.empty((controls, 9))
@@ -118,7 +132,10 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
                 if per_metre > 0.0:
                     factor = per_metre * middle_motion(loop, _motion(pxr, pxi, pyr, pyi, unpick))
                     gx, gy = gx * factor, gy * factor
-                dxr, dxi, dyr, dyi = gx * uxr, gx * uxi, gy * uyr, gy * uyi
+                if bent:
+                    wx, wy = bent_drive(complex(uxr, uxi), complex(uyr, uyi), envelope)
+                    dxr, dxi, dyr, dyi = wx.real, wx.imag, wy.real, wy.imag
+                dxr, dxi, dyr, dyi = gx * dxr, gx * dxi, gy * dyr, gy * dyi
                 if strayed:
                     dxr, dxi, dyr, dyi = dxr + stray[row, 0], dxi + stray[row, 1], dyr + stray[row, 2], dyi + stray[row, 3]
             th = (omega - omega0) * period
@@ -133,6 +150,9 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             if curved:
                 b0, b1, b2, b3 = _nonlinear_step(pxr, pxi, pyr, pyi, omega, period, pick, unpick, nonlinear)
                 rxr, rxi, ryr, ryi = rxr + b0, rxi + b1, ryr + b2, ryi + b3
+            if bent:
+                wx, wy = _effect_step(pxr, pxi, pyr, pyi, period, pick, unpick, per_volt, envelope)
+                rxr, rxi, ryr, ryi = rxr + wx.real, rxi + wx.imag, ryr + wy.real, ryi + wy.imag
             bxr, bxi = (a0 * rxr - a1 * rxi) + (a2 * ryr - a3 * ryi), (a0 * rxi + a1 * rxr) + (a2 * ryi + a3 * ryr)
             byr, byi = (a4 * rxr - a5 * rxi) + (a6 * ryr - a7 * ryi), (a4 * rxi + a5 * rxr) + (a6 * ryi + a7 * ryr)
             qxr = (pxr + kick * noise[n]) + ((sr * rxr - si * rxi) + (dr * bxr - di * bxi))
@@ -144,6 +164,9 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
             myr = (early * pyr + late * qyr) + (((e4 * uxr - e5 * uxi) + (e6 * uyr - e7 * uyi)) + pick_noise * noise[n + 6])
             myi = (early * pyi + late * qyi) + (((e4 * uxi + e5 * uxr) + (e6 * uyi + e7 * uyr)) + pick_noise * noise[n + 7])
             pxr, pxi, pyr, pyi = qxr, qxi, qyr, qyi
+            if bent:
+                wx, wy = bent_pickoff(complex(mxr, mxi), complex(myr, myi), envelope)
+                mxr, mxi, myr, myi = wx.real, wx.imag, wy.real, wy.imag
             if multiplexed:
                 slot = int(loop[S_SLOT])
                 if slot != READ_X:

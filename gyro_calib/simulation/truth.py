@@ -9,18 +9,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..device import Device, averaging
+from ..device import Device, SlowFlow, averaging
 from ..device.operating_point import OperatingPoint, ftr_operating_point
 from ..device.wave_point import WavePoint, wave_point
 from ..errors import DeviceError
 from ..recording.command import Command
 from ..recording.rate import WAVE_MODES
+from .effect_setup import nonlinear_coefficients
+from .effect_truth import SteadyEffects
 
 __all__ = ["Truth", "operating_point", "truth_of", "wave_points"]
 
 ComplexArray = NDArray[np.complex128]
 #: azimuths over a turn of psi = 2 theta: exact up to the 7th harmonic of 4 theta
 _AZIMUTHS = 16
+#: repetitions of a steady state: for its frequency, and for effects that depend on its drives
+_REPEAT, _REPEAT_BENT = 4, 12
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,9 @@ class Truth:
 def operating_point(device: Device, command: Command, rate_rad_s: float) -> OperatingPoint:
     """Steady state of a force-rebalance mode, exact in the frequency (A and G written about the reference frequency itself).
 
+    The drive is the one that acts, behind the compensation: the loops hold the pick-offs and find it whatever the matrix. What the matrix
+    moves is the frequency, because the PLL keeps the oscillator's drive in phase with velocity *before* it.
+
     Raises
     ------
     DeviceError
@@ -53,16 +60,24 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
     axis = command.oscillator_axis
     if axis is None:
         raise DeviceError(f"Operating point must be of a force-rebalance mode, but got {command.mode!r}.")
+    compensation = np.reshape(command.compensation, (2, 2))
     omega = device.slow_flow(rate_rad_s).omega0_rad_s
     point = None
-    for _ in range(4):
-        flow = device.slow_flow(rate_rad_s, omega_rad_s=omega)
-        point = ftr_operating_point(flow.A, flow.G, flow.E, command.setpoints.amplitude_v, axis, extra=_nonlinear_forces(device, omega))
+    effects = SteadyEffects(device, rate_rad_s) if device.effects else None
+    for _ in range(_REPEAT if effects is None else _REPEAT_BENT):
+        flow, extra, volts = device.slow_flow(rate_rad_s, omega_rad_s=omega), _nonlinear_forces(device, omega), None
+        if effects is not None:
+            flow = effects.flow(flow, omega)
+            extra = _with_effects(effects, extra, flow.G, compensation, point, 1.0 if point is None else device.drive_factor(point.pick))
+            volts = effects.true_volts(command.setpoints.amplitude_v * np.eye(2)["xy".index(axis)])
+        G, E = flow.G @ compensation, flow.E @ compensation
+        point = ftr_operating_point(flow.A, G, E, command.setpoints.amplitude_v, axis, volts=volts, extra=extra)
         omega += point.detuning_rad_s
     assert point is not None
-    factor = device.drive_factor(point.pick)
+    drive = compensation @ point.drive / device.drive_factor(point.pick)
     detuning = omega - device.slow_flow(rate_rad_s).omega0_rad_s
-    return OperatingPoint(point.drive / factor, point.pick, detuning, point.rate_channel_v / factor)
+    closed = 1 if axis == "x" else 0
+    return OperatingPoint(drive, point.pick, detuning, float(drive[closed].imag))
 
 
 def wave_points(device: Device, command: Command, rate_rad_s: float = 0.0, azimuths: int = _AZIMUTHS) -> list[WavePoint]:
@@ -78,24 +93,37 @@ def wave_points(device: Device, command: Command, rate_rad_s: float = 0.0, azimu
     amplitude = command.setpoints.amplitude_v
     flow = device.slow_flow(rate_rad_s)
     nonlinear = _nonlinear_forces(device, flow.omega0_rad_s)
+    effects = SteadyEffects(device, rate_rad_s) if device.effects else None
+    if effects is not None:
+        flow = effects.flow(flow, flow.omega0_rad_s)
     points = []
     for theta in math.pi * np.arange(azimuths) / azimuths:
         wave = np.asarray([amplitude * math.cos(2.0 * theta), amplitude * math.sin(2.0 * theta)], dtype=np.complex128)
-        points.append(
-            wave_point(
-                flow.A,
-                flow.G * device.drive_factor(wave),
-                flow.E,
-                amplitude,
-                theta,
-                precession_v=command.setpoints.virtual_precession_v,
-                stiffness_v_per_v=command.setpoints.stiffness_v_per_v,
-                compensation=np.reshape(command.compensation, (2, 2)),
-                latency_s=device.loop_latency_s,
-                extra=nonlinear,
-            )
-        )
+        here = replace(flow, G=flow.G * device.drive_factor(wave))
+        point = _wave_at(device, here, command, theta, nonlinear)
+        for _ in range(_REPEAT_BENT if effects is not None else 0):
+            assert effects is not None
+            excess = effects.wave_excess(here, command, device.loop_latency_s, theta, point)
+            point = _wave_at(device, here, command, theta, _sum_of(nonlinear, excess, excess.volts))
+        points.append(point)
     return points
+
+
+def _wave_at(
+    device: Device, flow: SlowFlow, command: Command, theta: float, extra: Callable[[ComplexArray], ComplexArray] | None
+) -> WavePoint:
+    return wave_point(
+        flow.A,
+        flow.G,
+        flow.E,
+        command.setpoints.amplitude_v,
+        theta,
+        precession_v=command.setpoints.virtual_precession_v,
+        stiffness_v_per_v=command.setpoints.stiffness_v_per_v,
+        compensation=np.reshape(command.compensation, (2, 2)),
+        latency_s=device.loop_latency_s,
+        extra=extra,
+    )
 
 
 def truth_of(device: Device, command: Command, rate_rad_s: float = 0.0) -> Truth:
@@ -130,8 +158,8 @@ def _wave_truth(device: Device, command: Command, rate_rad_s: float, nominal_v_p
 
 def _nonlinear_forces(device: Device, omega: float) -> Callable[[ComplexArray], ComplexArray] | None:
     """N(p) of theory.md Eq. 3 [V/s], or None without any."""
-    coefficients = device.nonlinearity.coefficients
-    if not any(coefficients):
+    coefficients = nonlinear_coefficients(device)
+    if not coefficients.any():
         return None
     pick = device.pickoff_matrix(device.temperature_rise(device.environment.temperature_degc))
     unpick = np.linalg.inv(pick)
@@ -142,3 +170,26 @@ def _nonlinear_forces(device: Device, omega: float) -> Callable[[ComplexArray], 
         return np.asarray(0.5j / omega * pick @ envelope, dtype=np.complex128)
 
     return forces
+
+
+def _sum_of(
+    nonlinear: Callable[[ComplexArray], ComplexArray] | None, more: Callable[[ComplexArray], ComplexArray], aside: ComplexArray
+) -> Callable[[ComplexArray], ComplexArray]:
+    """Both forces of the same motion; ``nonlinear`` is asked ``aside`` of the pick-offs that ``more`` is asked at."""
+    if nonlinear is None:
+        return more
+    return lambda p: nonlinear(np.asarray(p + aside, dtype=np.complex128)) + more(p)
+
+
+def _with_effects(
+    effects: SteadyEffects,
+    nonlinear: Callable[[ComplexArray], ComplexArray] | None,
+    G: ComplexArray,
+    compensation: NDArray[np.float64],
+    last: OperatingPoint | None,
+    factor: float,
+) -> Callable[[ComplexArray], ComplexArray]:
+    """N(p) with what the effects add, drives as last found."""
+    drive = np.zeros(2, dtype=np.complex128) if last is None else np.asarray(compensation @ last.drive / factor, dtype=np.complex128)
+    acting = np.asarray(factor * (G @ effects.drive_excess(drive)), dtype=np.complex128)
+    return _sum_of(nonlinear, lambda p: np.asarray(effects.rate(p) + acting, dtype=np.complex128), np.zeros(2, dtype=np.complex128))

@@ -1,0 +1,26 @@
+"""Short forms for writing the catalogue."""
+
+from __future__ import annotations
+
+from .effect import MODES, Parameter
+
+__all__ = ["BOTH", "FORCE_REBALANCE", "WHOLE_ANGLE", "pair", "positive", "signed"]
+
+BOTH = MODES
+FORCE_REBALANCE, WHOLE_ANGLE = MODES[:1], MODES[1:]
+
+
+def signed(name: str, unit: str, typical: float, bound: float, meaning: str) -> Parameter:
+    """A parameter of either sign within plus and minus ``bound``."""
+    return Parameter(name, unit, -bound, bound, typical, meaning)
+
+
+def positive(name: str, unit: str, typical: float, bound: float, meaning: str, lower: float = 0.0) -> Parameter:
+    """A parameter from ``lower`` to ``bound``."""
+    return Parameter(name, unit, lower, bound, typical, meaning)
+
+
+def pair(names: str, unit: str, typical: float, bound: float, meaning: str) -> tuple[Parameter, Parameter]:
+    """Two signed parameters, the names divided by a blank."""
+    first, second = names.split()
+    return signed(first, unit, typical, bound, f"{meaning}, {first}"), signed(second, unit, typical, bound, f"{meaning}, {second}")

@@ -1,0 +1,183 @@
+"""Effects of temperature, time, rotation and vibration. T: above the resonator's reference; t: since the start; Omega: input rate."""
+
+from __future__ import annotations
+
+from ._short import BOTH, pair, positive, signed
+from .effect import Effect
+
+__all__ = ["ENVIRONMENT"]
+
+THERMAL = (
+    Effect(
+        "thermal_damping", "Damping that follows the temperature", "environment", (28,),
+        (signed("c", "1/s/K", 0.002, 1.0, "decay rate per kelvin, besides the law of the quality factor"),),
+        ("temperature",), BOTH,
+        "p' += -c T p",
+        ("damping_drift", "thermal_drive_gain"),
+    ),
+    Effect(
+        "thermal_damping_anisotropy", "Damping anisotropy that follows the temperature", "environment", (2, 28),
+        pair("c_c c_s", "1/s/K", 2e-4, 0.5, "decay rate per kelvin, by axis (c) and across (s)"),
+        ("temperature",), BOTH,
+        "p' += -T (c_c diag(1, -1) + c_s [[0, 1], [1, 0]]) p",
+        ("thermal_drive_gain", "thermal_pickoff_gain"),
+    ),
+    Effect(
+        "thermal_frequency_curvature", "Frequency that bends with temperature", "environment", (27,),
+        (signed("k", "rad/s/K^2", 0.01, 10.0, "frequency per kelvin squared"),),
+        ("temperature",), BOTH,
+        "p' += i k T^2 p",
+        ("thermal_lag", "duffing", "frequency_ageing"),
+    ),
+    Effect(
+        "thermal_split", "Frequency split that follows the temperature", "environment", (1,),
+        pair("k_c k_s", "rad/s/K", 0.003, 1.0, "half the split per kelvin, by axis (c) and across (s)"),
+        ("temperature",), BOTH,
+        "p' += i T (k_c diag(1, -1) + k_s [[0, 1], [1, 0]]) p",
+        ("split_drift", "thermal_pickoff_phase"),
+    ),
+    Effect(
+        "thermal_lag", "Resonator's temperature lags the sensor's", "environment", (30,),
+        (positive("tau", "s", 30.0, 1e5, "time constant between the thermometer and what sets the frequency"),),
+        ("temperature", "time"), BOTH,
+        "p' += i TCF omega (T_lp - T) p, T_lp the temperature through a first-order low-pass of time constant tau",
+        ("thermal_frequency_curvature", "frequency_ageing"),
+    ),
+    Effect(
+        "thermal_drive_gain", "Drive gains that follow the temperature, by axis", "environment", (29,),
+        pair("g_x g_y", "1/K", 2e-4, 0.05, "relative gain per kelvin"),
+        ("temperature",), BOTH,
+        "u_j += g_j T u_j",
+        ("thermal_damping", "thermal_pickoff_gain"),
+    ),
+    Effect(
+        "thermal_drive_phase", "Drive phases that follow the temperature", "environment", (19, 29),
+        pair("g_x g_y", "rad/K", 1e-4, 0.05, "phase lead per kelvin"),
+        ("temperature",), BOTH,
+        "u_j += i g_j T u_j",
+        ("thermal_pickoff_phase",),
+    ),
+    Effect(
+        "thermal_pickoff_gain", "Pick-off gains that follow the temperature, by axis", "environment", (29,),
+        pair("g_x g_y", "1/K", 2e-4, 0.05, "relative gain per kelvin"),
+        ("temperature",), BOTH,
+        "V_j += g_j T V_j",
+        ("thermal_drive_gain", "thermal_damping_anisotropy"),
+    ),
+    Effect(
+        "thermal_pickoff_phase", "Pick-off phases that follow the temperature", "environment", (19, 29),
+        pair("g_x g_y", "rad/K", 1e-4, 0.05, "phase lead per kelvin"),
+        ("temperature",), BOTH,
+        "V_j += i g_j T V_j",
+        ("thermal_drive_phase", "thermal_split"),
+    ),
+    Effect(
+        "thermal_feedthrough", "Feedthrough that follows the temperature", "environment", (21,),
+        pair("e_x e_y", "1/K", 2e-5, 0.01, "direct feedthrough of the axis' own drive per kelvin"),
+        ("temperature", "open drive"), BOTH,
+        "V_j += e_j T u_j",
+        ("thermal_drive_phase",),
+    ),
+)  # fmt: skip
+
+TIME = (
+    Effect(
+        "frequency_ageing", "Frequency that drifts with time", "environment", (31,),
+        (signed("k", "rad/s/s", 1e-4, 1.0, "frequency per second"),),
+        ("time",), BOTH,
+        "p' += i k t p",
+        ("charge_accumulation", "thermal_lag"),
+    ),
+    Effect(
+        "damping_drift", "Damping that drifts with time (leak)", "environment", (31, 49),
+        (signed("c", "1/s/s", 1e-5, 0.1, "decay rate per second"),),
+        ("time",), BOTH,
+        "p' += -c t p",
+        ("drive_gain_drift", "thermal_damping"),
+    ),
+    Effect(
+        "split_drift", "Frequency split that drifts with time", "environment", (31,),
+        pair("k_c k_s", "rad/s/s", 1e-5, 0.1, "half the split per second, by axis (c) and across (s)"),
+        ("time",), BOTH,
+        "p' += i t (k_c diag(1, -1) + k_s [[0, 1], [1, 0]]) p",
+        ("charge_accumulation", "thermal_split"),
+    ),
+    Effect(
+        "charge_accumulation", "Charge builds up on dielectrics and moves stiffness and split", "environment", (32,),
+        (
+            signed("k_c", "rad/s", 0.05, 50.0, "final change of half the split, by axis"),
+            signed("k_s", "rad/s", 0.05, 50.0, "final change of half the split, across"),
+            signed("k_0", "rad/s", 0.05, 50.0, "final change of the frequency"),
+            positive("tau", "s", 300.0, 1e7, "time constant", lower=0.1),
+        ),
+        ("time",), BOTH,
+        "p' += i (1 - e^(-t/tau)) (k_0 + k_c diag(1, -1) + k_s [[0, 1], [1, 0]]) p",
+        ("split_drift", "frequency_ageing"),
+    ),
+    Effect(
+        "drive_gain_drift", "Drive gains that drift with time", "environment", (31, 45),
+        pair("g_x g_y", "1/s", 5e-6, 0.01, "relative gain per second"),
+        ("time",), BOTH,
+        "u_j += g_j t u_j",
+        ("damping_drift", "pickoff_gain_drift"),
+    ),
+    Effect(
+        "drive_phase_drift", "Drive phases that drift with time", "environment", (31, 45),
+        pair("g_x g_y", "rad/s", 2e-6, 0.01, "phase lead per second"),
+        ("time",), BOTH,
+        "u_j += i g_j t u_j",
+        ("frequency_ageing", "split_drift"),
+    ),
+    Effect(
+        "pickoff_gain_drift", "Pick-off gains that drift with time", "environment", (31, 45),
+        pair("g_x g_y", "1/s", 5e-6, 0.01, "relative gain per second"),
+        ("time",), BOTH,
+        "V_j += g_j t V_j",
+        ("drive_gain_drift",),
+    ),
+)  # fmt: skip
+
+MOTION = (
+    Effect(
+        "centrifugal_stiffness", "Stiffness that changes with the square of the rate", "environment", (40,),
+        (signed("k", "rad/s/(rad/s)^2", 0.01, 100.0, "frequency per rate squared"),),
+        ("rate",), BOTH,
+        "p' += i k Omega^2 p",
+        ("rate_nonlinearity",),
+    ),
+    Effect(
+        "rate_dependent_damping", "Damping that changes with the rate", "environment", (42,),
+        (signed("c", "1/s/(rad/s)", 0.005, 1.0, "decay rate per rate"),),
+        ("rate",), BOTH,
+        "p' += -c Omega p",
+        ("angular_gain_error",),
+    ),
+    Effect(
+        "angular_gain_error", "Angular gain differs from the factory's", "environment", (41,),
+        (signed("e", "1", 1e-3, 0.2, "relative excess of the angular gain"),),
+        ("rate",), BOTH,
+        "p' += -e kappa Omega J p",
+        ("rate_nonlinearity",),
+    ),
+    Effect(
+        "rate_nonlinearity", "Response not proportional to the rate", "environment", (42,),
+        (signed("e", "s/rad", 1e-3, 1.0, "relative excess of the angular gain per rate"),),
+        ("rate",), BOTH,
+        "p' += -e kappa Omega |Omega| J p",
+        ("angular_gain_error",),
+    ),
+    Effect(
+        "external_tone", "Vibration or mains force at one frequency near the resonance", "environment", (37,),
+        (
+            positive("frequency_hz", "Hz", 15010.0, 1e6, "absolute frequency", lower=1.0),
+            signed("a_x", "V", 1e-3, 10.0, "on x, in volts of drive"),
+            signed("a_y", "V", 1e-3, 10.0, "on y, in volts of drive"),
+            signed("phase_rad", "rad", 1.0, 6.2832, "phase of its cosine at device time 0"),
+        ),
+        ("time",), BOTH,
+        "u_j += a_j e^(i (2 pi frequency t + phase - phi)), phi the phase reference",
+        ("mains_pickup", "constant_force"),
+    ),
+)  # fmt: skip
+
+ENVIRONMENT = (*THERMAL, *TIME, *MOTION)

@@ -1,0 +1,100 @@
+"""Effects between the motion and the recorded pick-off."""
+
+from __future__ import annotations
+
+from ._short import BOTH, pair, positive, signed
+from .effect import Effect
+
+__all__ = ["PICKOFF"]
+
+PICKOFF = (
+    Effect(
+        "pickoff_nonlinearity", "Pick-off voltage not proportional to the motion", "pick-off", (16,),
+        pair("c_x c_y", "1/V^2", 0.002, 0.5, "relative growth of the reading per amplitude squared"),
+        ("amplitudes",), BOTH,
+        "V_j += c_j |V_j|^2 V_j; per sample v (1 + (4/3) c v^2)",
+        ("nonlinear_damping_axes", "pickoff_saturation", "drive_nonlinearity"),
+    ),
+    Effect(
+        "pickoff_amplitude_phase", "Phase of the pick-off that depends on the amplitude", "pick-off", (16, 19),
+        pair("c_x c_y", "rad/V^2", 0.002, 0.5, "phase lead per amplitude squared"),
+        ("amplitudes",), BOTH,
+        "V_j += i c_j |V_j|^2 V_j",
+        ("duffing_axes", "pickoff_nonlinearity"),
+    ),
+    Effect(
+        "pickoff_saturation", "Pick-off amplifier clips", "pick-off", (25,),
+        (positive("level", "V", 1.2, 100.0, "largest carrier voltage of either axis", lower=1e-3),),
+        ("amplitudes",), BOTH,
+        "carrier voltage held within +-level before the converter",
+        ("pickoff_nonlinearity", "nonlinear_damping"),
+    ),
+    Effect(
+        "pickoff_lag", "Pick-off lags the motion", "pick-off", (18, 20),
+        (positive("tau", "s", 1e-4, 0.05, "delay of the envelope; the phase of the carrier is that of the chain"),),
+        ("side bands",), BOTH,
+        "V += -tau dV/dt, exactly: V through a first-order low-pass of delay tau",
+        ("drive_lag", "channel_skew"),
+    ),
+    Effect(
+        "pickoff_memory", "Dielectric absorption in the pick-off", "pick-off", (32,),
+        (
+            signed("share", "1", 0.003, 1.0, "slow part over the prompt part"),
+            positive("tau", "s", 2.0, 1e5, "time constant", lower=0.01),
+        ),
+        ("side bands", "time"), BOTH,
+        "V += share V_lp, first-order low-pass of time constant tau",
+        ("drive_memory", "relaxation"),
+    ),
+    Effect(
+        "pickoff_cross_nonlinearity", "Motion of one axis distorts the reading of the other", "pick-off", None,
+        (signed("c", "1/V^2", 0.002, 0.5, "cubic leakage between the readings"),),
+        ("amplitudes",), BOTH,
+        "V_x += c |V_y|^2 V_y, V_y += c |V_x|^2 V_x",
+        ("cubic_cross_stiffness", "pickoff_nonlinearity"),
+    ),
+    Effect(
+        "pickoff_interference", "Reference crosses into the pick-off", "pick-off", (46,),
+        (
+            signed("v_xc", "V", 1e-3, 1.0, "on x, cosine"),
+            signed("v_xs", "V", 1e-3, 1.0, "on x, sine"),
+            signed("v_yc", "V", 1e-3, 1.0, "on y, cosine"),
+            signed("v_ys", "V", 1e-3, 1.0, "on y, sine"),
+        ),
+        ("amplitudes", "open drive"), BOTH,
+        "V += v, constant in the frame of the phase reference",
+        ("constant_force",),
+    ),
+    Effect(
+        "pickoff_quantisation", "Coarse steps of the pick-off converter", "electronics", (24,),
+        (positive("lsb", "V", 1e-3, 1.0, "step of the converter"),),
+        ("amplitudes",), BOTH,
+        "each sample rounded to lsb: no first-order envelope, variance lsb^2/12 per sample, a dead band; the coarser of it and adc_bits",
+        ("amplitude_noise",),
+    ),
+    Effect(
+        "channel_skew", "The two pick-offs are sampled at different times", "electronics", (19, 23),
+        (signed("tau", "s", 2e-5, 1e-3, "how much later the envelope of y appears; the phase of the carrier is that of the chain"),),
+        ("side bands",), BOTH,
+        "V_y += -tau dV_y/dt",
+        ("pickoff_lag",),
+    ),
+    Effect(
+        "amplitude_noise", "Gain of the pick-offs is noisy (reference, jitter)", "electronics", (44, 45),
+        (positive("s", "1/sqrt(Hz)", 3e-6, 0.01, "one-sided density of the relative gain, white, common to both"),),
+        ("amplitudes",), BOTH,
+        "V *= 1 + s n(t), n white up to the control rate: noise that grows with amplitude, in phase with V; a variance effect",
+        ("pickoff_quantisation",),
+    ),
+    Effect(
+        "mains_pickup", "Hum of the mains on the pick-offs, about the carrier", "electronics", (46,),
+        (
+            positive("frequency_hz", "Hz", 50.0, 1000.0, "frequency of the hum", lower=0.1),
+            signed("v_x", "V", 1e-4, 1.0, "on x"),
+            signed("v_y", "V", 1e-4, 1.0, "on y"),
+        ),
+        ("time",), BOTH,
+        "V_j += v_j cos(2 pi frequency t), t the device time: in phase with the reference, side bands at +-frequency",
+        ("external_tone",),
+    ),
+)  # fmt: skip

@@ -1,0 +1,107 @@
+"""Forces and voltages of the effects at one instant: what the carrier meets sample by sample."""
+
+from __future__ import annotations
+
+import math
+
+from ..jit import kernel
+from .effect_layout import (
+    E_CLIP,
+    E_CROSS,
+    E_CUBIC_X,
+    E_CUBIC_Y,
+    E_DEAD,
+    E_DRAG,
+    E_FRICTION,
+    E_HOLD,
+    E_STEP,
+    E_VELOCITY,
+    E_VELOCITY_X,
+    E_VELOCITY_Y,
+)
+
+__all__ = ["bends_drive", "drive_stage", "friction_direction", "opposes_motion", "velocity_force"]
+
+
+@kernel
+def friction_direction(vx, vy, ax, ay):  # type: ignore[no-untyped-def]
+    """Mean of v/|v| while v runs straight from ``v - a/2`` to ``v + a/2``: a sampled sign would beat with the sampling.
+
+    A sign function has harmonics far above the sampling rate; taken at the samples alone they fold onto the carrier, some per cent of the
+    friction, with a phase that slides as slowly as the samples slide over the cycle.
+    """
+    a = math.sqrt(ax * ax + ay * ay)
+    if a == 0.0:
+        speed = math.sqrt(vx * vx + vy * vy)
+        return (vx / speed, vy / speed) if speed > 0.0 else (0.0, 0.0)
+    ex, ey = ax / a, ay / a
+    middle = vx * ex + vy * ey
+    hx, hy = vx - middle * ex, vy - middle * ey
+    h = math.sqrt(hx * hx + hy * hy)
+    s0, s1 = middle - 0.5 * a, middle + 0.5 * a
+    along = (math.sqrt(s1 * s1 + h * h) - math.sqrt(s0 * s0 + h * h)) / a
+    across = (math.asinh(s1 / h) - math.asinh(s0 / h)) / a if h > 1e-9 * a else 0.0
+    return ex * along + hx * across, ey * along + hy * across
+
+
+@kernel
+def opposes_motion(effect):  # type: ignore[no-untyped-def]
+    """Whether :func:`velocity_force` is any."""
+    alike, by_axis = effect[E_VELOCITY] != 0.0 or effect[E_DRAG] != 0.0, effect[E_VELOCITY_X] != 0.0 or effect[E_VELOCITY_Y] != 0.0
+    return alike or by_axis or effect[E_FRICTION] != 0.0
+
+
+@kernel
+def bends_drive(effect):  # type: ignore[no-untyped-def]
+    """Whether :func:`drive_stage` changes anything."""
+    cubic = effect[E_CUBIC_X] != 0.0 or effect[E_CUBIC_Y] != 0.0 or effect[E_CROSS] != 0.0
+    return cubic or effect[E_CLIP] < math.inf or effect[E_DEAD] > 0.0 or effect[E_STEP] > 0.0
+
+
+@kernel
+def velocity_force(vx, vy, ax, ay, effect):  # type: ignore[no-untyped-def]
+    """Force per mass that opposes the motion [m/s^2].
+
+    Parameters
+    ----------
+    vx, vy : float
+        Velocity [m/s].
+    ax, ay : float
+        Its change over a sample [m/s].
+    effect : ndarray, shape (N_EFFECT,)
+    """
+    square = vx * vx + vy * vy
+    same = effect[E_VELOCITY] * square
+    if effect[E_DRAG] != 0.0:
+        same += effect[E_DRAG] * math.sqrt(square)
+    fx = -(same + effect[E_VELOCITY_X] * vx * vx) * vx
+    fy = -(same + effect[E_VELOCITY_Y] * vy * vy) * vy
+    if effect[E_FRICTION] != 0.0:
+        nx, ny = friction_direction(vx, vy, ax, ay)
+        # the mean over a sample lowers the fundamental as a hold does
+        scale = effect[E_FRICTION] / effect[E_HOLD]
+        fx -= scale * nx
+        fy -= scale * ny
+    return fx, fy
+
+
+@kernel
+def _bent(v, cubic, effect):  # type: ignore[no-untyped-def]
+    """One drive voltage through converter, dead zone and curvature."""
+    step, dead = effect[E_STEP], effect[E_DEAD]
+    if step > 0.0:
+        v = step * math.floor(v / step + 0.5)
+    if dead > 0.0:
+        v = v - dead if v > dead else v + dead if v < -dead else 0.0
+    return v + cubic * v * v * v
+
+
+@kernel
+def drive_stage(vx, vy, effect):  # type: ignore[no-untyped-def]
+    """Voltages that act for the commanded carrier voltages of one sample: step, dead zone, curvature, leakage across, clip."""
+    wx, wy = _bent(vx, effect[E_CUBIC_X], effect), _bent(vy, effect[E_CUBIC_Y], effect)
+    cross = effect[E_CROSS]
+    if cross != 0.0:
+        wx, wy = wx + cross * vy * vy * vy, wy + cross * vx * vx * vx
+    limit = effect[E_CLIP]
+    return min(max(wx, -limit), limit), min(max(wy, -limit), limit)

@@ -1,0 +1,170 @@
+"""Slow effects row by row: what temperature, time and rotation change in dynamics, drive and pick-off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from ..device import Device, J
+from . import effect_layout as at
+
+__all__ = ["SLOW_EFFECTS", "SlowEffects", "SlowTerms", "add_to_carrier", "flow_with", "kernel_rows"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: effects of this module besides the feedthrough that moves
+SLOW_EFFECTS = frozenset(
+    (
+        "thermal_damping", "thermal_damping_anisotropy", "thermal_frequency_curvature", "thermal_split", "thermal_lag",
+        "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
+        "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
+        "pickoff_gain_drift", "centrifugal_stiffness", "rate_dependent_damping", "angular_gain_error", "rate_nonlinearity",
+    )
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SlowTerms:
+    """What the effects change in a stretch of rows.
+
+    Parameters
+    ----------
+    stiffness, damping : ndarray, shape (rows, 2, 2)
+        Added to ``p' = (i stiffness - damping) p``: frequency and its split [rad/s], decay rate, its anisotropy and rotation [1/s].
+    drive, pick : ndarray, shape (rows, 2), complex
+        Factors of the drives and of the pick-offs.
+    feed : ndarray, shape (rows, 2)
+        Feedthrough of each axis' own drive, added.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    drive: ComplexArray
+    pick: ComplexArray
+    feed: FloatArray
+
+
+class SlowEffects:
+    """Slow effects of a device; keeps the temperature that lags from call to call.
+
+    Parameters
+    ----------
+    device : Device
+        Whose effects.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._effects = device.effects
+        self._row_s = 1.0 / device.electronics.sample_rate_hz
+        self._rows_made = 0
+        self._lagged_k: float | None = None
+
+    def terms(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> SlowTerms:
+        """Terms of the next rows; each is taken at its middle."""
+        d, count = self._device, rate_rad_s.size
+        t = np.asarray((self._rows_made + np.arange(count) + 0.5) * self._row_s, dtype=np.float64)
+        self._rows_made += count
+        rise = np.asarray(temperature_degc - d.resonator.reference_temperature_degc, dtype=np.float64)
+        return SlowTerms(
+            self._stiffness(t, rise, rate_rad_s),
+            self._damping(t, rise, rate_rad_s),
+            self._factor("drive", t, rise),
+            self._factor("pickoff", t, rise),
+            # none where drives and readings do not meet, as Device.feedthrough_matrix
+            self._pair("thermal_feedthrough", "e_x", "e_y", rise) * float(not (d.multiplexing.enabled or d.drive.at_twice_frequency)),
+        )
+
+    def _size(self, effect: str, parameter: str) -> float:
+        return self._effects[effect][parameter] if effect in self._effects else 0.0
+
+    def _pair(self, effect: str, first: str, second: str, by: FloatArray) -> FloatArray:
+        return np.stack([self._size(effect, first) * by, self._size(effect, second) * by], axis=1)
+
+    def _stiffness(self, t: FloatArray, rise: FloatArray, rate: FloatArray) -> FloatArray:
+        same = self._size("thermal_frequency_curvature", "k") * rise**2
+        same = same + self._size("frequency_ageing", "k") * t + self._size("centrifugal_stiffness", "k") * rate**2
+        split = self._pair("thermal_split", "k_c", "k_s", rise) + self._pair("split_drift", "k_c", "k_s", t)
+        if "charge_accumulation" in self._effects:
+            charged = -np.expm1(-t / self._size("charge_accumulation", "tau"))
+            same = same + self._size("charge_accumulation", "k_0") * charged
+            split = split + self._pair("charge_accumulation", "k_c", "k_s", charged)
+        if self._size("thermal_lag", "tau") > 0.0:
+            r = self._device.resonator
+            same = same + r.frequency_tempco_per_k * r.omega0_rad_s * (self._lagged(rise) - rise)
+        return _symmetric(same, split)
+
+    def _damping(self, t: FloatArray, rise: FloatArray, rate: FloatArray) -> FloatArray:
+        same = self._size("thermal_damping", "c") * rise + self._size("damping_drift", "c") * t
+        same = same + self._size("rate_dependent_damping", "c") * rate
+        excess = self._size("angular_gain_error", "e") + self._size("rate_nonlinearity", "e") * np.abs(rate)
+        turn = excess * self._device.resonator.angular_gain * rate
+        return np.asarray(_symmetric(same, self._pair("thermal_damping_anisotropy", "c_c", "c_s", rise)) + turn[:, None, None] * J)
+
+    def _factor(self, chain: str, t: FloatArray, rise: FloatArray) -> ComplexArray:
+        gain = 1.0 + self._pair(f"thermal_{chain}_gain", "g_x", "g_y", rise) + self._pair(f"{chain}_gain_drift", "g_x", "g_y", t)
+        phase = self._pair(f"thermal_{chain}_phase", "g_x", "g_y", rise) + self._pair(f"{chain}_phase_drift", "g_x", "g_y", t)
+        return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
+
+    def _lagged(self, rise: FloatArray) -> FloatArray:
+        """The temperature through the low-pass; it starts where the thermometer does."""
+        start = float(rise[0]) if self._lagged_k is None else self._lagged_k
+        keep = math.exp(-self._row_s / self._size("thermal_lag", "tau"))
+        lagged, _ = lfilter([1.0 - keep], [1.0, -keep], rise, zi=[keep * start])
+        self._lagged_k = float(lagged[-1])
+        return np.asarray(lagged)
+
+
+def add_to_carrier(
+    terms: SlowTerms, physics: FloatArray, drive: FloatArray, pick: FloatArray, omega_rad_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Put the terms of rows into what the carrier takes: ``physics`` in place; returns drive and pick-off, shape (rows, 8).
+
+    ``p' = (i/2w) K p - (1/2) D p``: a frequency shift k is ``K += 2 w k + k^2``, a decay rate c is ``D += 2 c``.
+    """
+    k = terms.stiffness
+    added = 2.0 * omega_rad_s[:, None, None] * k + k @ k
+    physics[:, 0] += added[:, 0, 0]
+    physics[:, 1] += added[:, 0, 1]
+    physics[:, 2] += added[:, 1, 1]
+    physics[:, 3:7] += 2.0 * terms.damping.reshape(-1, 4)
+    driven = drive.view(np.complex128).reshape(-1, 2, 2) * terms.drive[:, None, :]
+    picked = pick.view(np.complex128).reshape(-1, 2, 2) * terms.pick[:, :, None]
+    return _flat(driven), _flat(picked)
+
+
+def flow_with(terms: SlowTerms, A: ComplexArray, G: ComplexArray, pick: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """A and G of theory.md Eq. 4 with the terms of rows, shape (rows, 2, 2).
+
+    Parameters
+    ----------
+    A, G : ndarray, shape (rows, 2, 2), complex
+        Of the device without these effects [1/s].
+    pick : ndarray, shape (2, 2), complex
+        P [V/m].
+    """
+    added = pick @ (1j * terms.stiffness - terms.damping) @ np.linalg.inv(pick)
+    drive, rows, columns = terms.drive[:, None, :], terms.pick[:, :, None], terms.pick[:, None, :]
+    return np.asarray(rows * (A + added) / columns), np.asarray(rows * G * drive)
+
+
+def kernel_rows(terms: SlowTerms, mode_omega_rad_s: FloatArray) -> FloatArray:
+    """What the effect kernels take per row, shape (rows, N_ROW)."""
+    rows = np.empty((mode_omega_rad_s.size, at.N_ROW))
+    rows[:, at.R_FEED_X], rows[:, at.R_FEED_Y] = terms.feed[:, 0], terms.feed[:, 1]
+    rows[:, at.R_MODE_OMEGA] = mode_omega_rad_s
+    return rows
+
+
+def _symmetric(same: FloatArray, split: FloatArray) -> FloatArray:
+    """``same + split_c diag(1, -1) + split_s [[0, 1], [1, 0]]``, shape (rows, 2, 2)."""
+    along, across = split[:, 0], split[:, 1]
+    return np.stack([np.stack([same + along, across], axis=1), np.stack([across, same - along], axis=1)], axis=1)
+
+
+def _flat(matrices: ComplexArray) -> FloatArray:
+    return np.ascontiguousarray(matrices).reshape(len(matrices), 4).view(np.float64)

@@ -1,0 +1,99 @@
+"""What the effects of a device do to its steady state, for the hidden truth: at the start of the time, in the mean of tones and noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..device import Device, SlowFlow
+from ..device.wave_point import WavePoint
+from ..recording.command import Command
+from .effect_envelope import bent_drive, bent_pickoff, effect_rate, envelope_constants
+from .effect_rows import SlowEffects, flow_with
+
+__all__ = ["SteadyEffects"]
+
+ComplexArray = NDArray[np.complex128]
+#: a reading is brought back to the volts that cause it by so many repetitions
+_REPEAT = 30
+
+
+class SteadyEffects:
+    """The effects of a device at an input rate, in steady state.
+
+    Parameters
+    ----------
+    device : Device
+    rate_rad_s : float
+    """
+
+    def __init__(self, device: Device, rate_rad_s: float) -> None:
+        self._device = device
+        self._numbers = envelope_constants(device.effects)
+        self._motion_v = device.pickoff_matrix() / device.pickoff.gain_v_per_m
+        temperature = np.array([device.environment.temperature_degc])
+        self._terms = SlowEffects(device).terms(np.array([rate_rad_s]), temperature)
+        # what is slow has settled: it is a gain (of a wave that stands; one that turns within the time constant has none of it)
+        self._drive_gain = 1.0 + device.effects.get("drive_memory", {}).get("share", 0.0)
+        self._pick_gain = 1.0 + device.effects.get("pickoff_memory", {}).get("share", 0.0)
+
+    def flow(self, flow: SlowFlow, omega_rad_s: float) -> SlowFlow:
+        """A, G and E with what temperature, time, rotation and a spurious mode make of them."""
+        A, G = flow_with(self._terms, flow.A[None], flow.G[None], self._device.pickoff_matrix())
+        E = flow.E + np.diag(self._terms.feed[0])
+        mode = self._device.effects.get("spurious_mode")
+        if mode is not None:
+            above = 2.0 * math.pi * (self._device.resonator.frequency_at(self._device.environment.temperature_degc) + mode["separation_hz"])
+            response = 1.0 / complex(2.0 * math.pi * mode["half_width_hz"], omega_rad_s - above)
+            E = E + response * np.outer([mode["gain_x"], mode["gain_y"]], [1.0, 1.0])
+        return replace(flow, A=A[0], G=G[0], E=np.asarray(E, dtype=np.complex128))
+
+    def drive_excess(self, drive: ComplexArray) -> ComplexArray:
+        """Drive that acts, less the commanded one [V]."""
+        return np.array(bent_drive(complex(drive[0]), complex(drive[1]), self._numbers)) * self._drive_gain - drive
+
+    def rate(self, pick: ComplexArray) -> ComplexArray:
+        """What damping, friction and pump add to p' [V/s]."""
+        x, y = np.linalg.solve(self._motion_v, pick)
+        return np.asarray(self._motion_v @ np.array(effect_rate(complex(x), complex(y), self._numbers)), dtype=np.complex128)
+
+    def true_volts(self, read: ComplexArray) -> ComplexArray:
+        """Volts of the motion and feedthrough that are read as ``read``."""
+        volts = np.array(read, dtype=np.complex128)
+        for _ in range(_REPEAT):
+            seen = self._pick_gain * np.array(bent_pickoff(complex(volts[0]), complex(volts[1]), self._numbers))
+            volts = volts + read - seen
+        return volts
+
+    def wave_excess(self, flow: SlowFlow, command: Command, latency_s: float, azimuth_rad: float, last: WavePoint) -> WaveExcess:
+        """What the effects add to the balance of a wave, about its state as last found."""
+        psi, spin = 2.0 * azimuth_rad, 2.0 * last.theta_rate_rad_s
+        amplitude = command.setpoints.amplitude_v
+
+        def excess(angle: float) -> ComplexArray:
+            read = amplitude * np.array([math.cos(angle), math.sin(angle)], dtype=np.complex128)
+            return self.true_volts(read) - read
+
+        step = 1e-4
+        volts = excess(psi)
+        turning = spin * (excess(psi + step) - excess(psi - step)) / (2.0 * step)
+        late = psi - spin * latency_s
+        along, across = np.array([math.cos(late), math.sin(late)]), np.array([-math.sin(late), math.cos(late)])
+        drive = 1j * last.amplitude_drive_v * along + (last.quadrature_drive_v + 1j * command.setpoints.virtual_precession_v) * across
+        drive = drive + command.setpoints.stiffness_v_per_v * amplitude * np.array([math.cos(psi), math.sin(psi)])
+        acting = self.drive_excess(np.asarray(np.reshape(command.compensation, (2, 2)) @ drive, dtype=np.complex128))
+        dynamics = flow.A - 1j * last.detuning_rad_s * np.eye(2)
+        return WaveExcess(self, volts, np.asarray(dynamics @ volts + flow.G @ acting - turning, dtype=np.complex128))
+
+
+class WaveExcess:
+    """Extra terms of a wave's balance [V/s], called with the pick-offs that are read, without feedthrough."""
+
+    def __init__(self, effects: SteadyEffects, volts: ComplexArray, constant: ComplexArray) -> None:
+        self._effects, self.volts, self._constant = effects, volts, constant
+
+    def __call__(self, pick: ComplexArray) -> ComplexArray:
+        return self._constant + self._effects.rate(pick + self.volts)
