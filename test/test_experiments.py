@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from wave_samples import unbalanced_hrg
 
 from gyro_calib.device import Device, load_device
 from gyro_calib.errors import DataError, ExperimentAborted
@@ -23,7 +24,7 @@ from gyro_calib.experiments import (
     run_plan,
     self_calibration_plan,
 )
-from gyro_calib.recording.command import Command, Excitation
+from gyro_calib.recording.command import Command, Excitation, Setpoints
 from gyro_calib.simulation import GyroSimulator
 
 
@@ -135,6 +136,52 @@ def test_a_moving_base_ends_the_run_static_or_modulated() -> None:
         spy.before_record = bump
         with pytest.raises(ExperimentAborted, match="Hold the gyro still"):
             run_plan(spy, Plan("p", steps))
+
+
+@pytest.mark.parametrize("precession_v", [0.0, 1.5, -3.5])
+def test_a_moving_base_ends_a_whole_angle_run_with_or_without_precession(precession_v: float) -> None:
+    device = unbalanced_hrg()
+    command = Command("whole_angle", setpoints=Setpoints(virtual_precession_v=precession_v))
+    steps = (Step("a", command, 12.0, 4.0), Step("b", command, 12.0, 2.0))
+    moved = np.repeat([0.0, 0.08], 600)
+
+    def run(limits: Limits, rate: Any) -> None:
+        spy = _Spy(_instrument(device, 5e-3))
+
+        def bump(count: int) -> None:
+            if count == 1:
+                original = spy.inner._simulator.advance
+                spy.inner._simulator.advance = lambda d, _: original(d, rate if d > 5.0 else 5e-3)  # type: ignore[method-assign]
+
+        spy.before_record = bump
+        run_plan(spy, Plan("p", steps, limits))
+
+    # a constant rate, and what unbalanced forcers do to the wave, are no motion of the base
+    run(Limits(), 5e-3)
+    with pytest.raises(ExperimentAborted, match="Hold the gyro still"):
+        run(Limits(), 5e-3 + moved)
+    run(Limits(base_rate_rad_s=0.2), 5e-3 + moved)
+
+
+def test_a_base_that_turns_from_one_free_run_to_the_next_ends_the_run() -> None:
+    free = Command("whole_angle")
+    device = load_device("hrg_hardware")
+    spy = _Spy(_instrument(device))
+
+    def bump(count: int) -> None:
+        if count == 1:
+            spy.inner._rate = 0.03
+
+    spy.before_record = bump
+    with pytest.raises(ExperimentAborted, match=r"moved 1\.[5-7]\d* deg/s in step b"):
+        run_plan(spy, Plan("p", (Step("a", free, 5.0, 4.0), Step("b", free, 5.0, 2.0))))
+
+
+@pytest.mark.parametrize("name", ["hrg_sun2024", "hrg_hardware"])
+def test_a_base_at_rest_never_ends_a_whole_angle_calibration(name: str) -> None:
+    instrument = _instrument(load_device(name), 2e-3)
+    for plan in ("virtual_precession", "scale_factor"):
+        assert len(run_plan(instrument, plan_by_name(plan, instrument.factory, quality="quick")))
 
 
 def test_wrong_plans_are_refused() -> None:

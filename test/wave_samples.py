@@ -65,3 +65,19 @@ def harmonics(values: NDArray[np.float64], theta: NDArray[np.float64]) -> NDArra
 
 def amplitude(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sqrt((rows[:, 2:6] ** 2).sum(axis=1)))
+
+
+#: the errors of document 004's hardware (its section 5.2) but for the split and damping axes of the packaged device
+HARDWARE_ERRORS = {
+    "gain_mismatch": -0.027,
+    "two_delta_rad": 3.6e-3,
+    "two_lambda_rad": -0.022,
+    "damping_anisotropy": 0.002,
+    "frequency_split_hz": 3.1e-3,
+}
+
+
+def unbalanced_hrg(**changes: float) -> Device:
+    """A hemisphere at Q 2e5 whose unbalanced forcers make a bias of some 660 deg/h: quick to calibrate, much to gain."""
+    device = low_q_hrg(**{**HARDWARE_ERRORS, **changes})
+    return replace(device, device_id="hrg_low_q")

@@ -2,12 +2,14 @@
 
 from .alignment import SenseAxes
 from .apply import CorrectedRate, Corrector, validity_problems
+from .compensation_rounds import Compensated, CompensationRound, compensate
 from .document import dump_record, parse_record
 from .errormodel import COVARIANCE_MODES, CovarianceModel, RateErrorModel
 from .factory_record import FactoryRecord, factory_record_from_result, with_factory_record
 from .factory_store import FactoryStore
 from .from_result import record_from_result
 from .location import default_path, resolve_url, ros_home
+from .merge import with_scale_factor_of
 from .mission import Drifts, MissionRate, mission_rate
 from .record import NOISE_DENSITY_UNIT, SCHEMA_VERSION, CalibrationRecord
 from .store import LoadedRecord, RecordMissingError, RecordStore, read_record
@@ -17,6 +19,8 @@ __all__ = [
     "NOISE_DENSITY_UNIT",
     "SCHEMA_VERSION",
     "CalibrationRecord",
+    "Compensated",
+    "CompensationRound",
     "CorrectedRate",
     "Corrector",
     "CovarianceModel",
@@ -29,6 +33,7 @@ __all__ = [
     "RecordMissingError",
     "RecordStore",
     "SenseAxes",
+    "compensate",
     "default_path",
     "dump_record",
     "factory_record_from_result",
@@ -40,4 +45,5 @@ __all__ = [
     "ros_home",
     "validity_problems",
     "with_factory_record",
+    "with_scale_factor_of",
 ]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from datetime import datetime, timezone
+from typing import Any
 
 from .. import __version__
 from ..errors import CalibrationRefused
 from ..estimation import CalibrationResult
 from ..quantity import Quantity
+from ..recording.command import Command
 from ..recording.recording import Campaign
 from .record import CalibrationRecord
 
@@ -23,7 +26,13 @@ _CHANNELS = {"ftr_x": "x", "ftr_y": "y", "whole_angle": "whole_angle"}
 
 
 def record_from_result(
-    result: CalibrationResult, campaign: Campaign, *, run_id: str, mode: str = "ftr_x", created: datetime | None = None
+    result: CalibrationResult,
+    campaign: Campaign,
+    *,
+    run_id: str,
+    mode: str = "ftr_x",
+    created: datetime | None = None,
+    provenance: Mapping[str, Any] | None = None,
 ) -> CalibrationRecord:
     """Build the record of an estimate.
 
@@ -39,6 +48,8 @@ def record_from_result(
         Mission mode, ``"ftr_x"``, ``"ftr_y"`` or ``"whole_angle"``.
     created : datetime, optional
         Time of creation (default: now).
+    provenance : mapping, optional
+        What to tell besides.
 
     Raises
     ------
@@ -55,6 +66,8 @@ def record_from_result(
     if not (math.isfinite(channel.bias_v) and math.isfinite(channel.volts_per_rad_s) and math.isfinite(float(variance.sum()))):
         found = f"bias {channel.bias_v!r} {channel.unit} and {channel.volts_per_rad_s!r} {channel.unit}/(rad/s)"
         raise CalibrationRefused(f"Estimate must be finite, but got {found}.")
+    compensation = campaign.recordings[-1].command.compensation
+    compensated = result.drive_chain if compensation != Command().compensation else None
     temperatures = [t for r in campaign for t in (float(r.temperature_degc.min()), float(r.temperature_degc.max()))]
     record = CalibrationRecord(
         record_id="pending",
@@ -70,8 +83,10 @@ def record_from_result(
         temperature_degc=Quantity(result.temperature_degc, result.temperature_sd_k, "degC"),
         bias_by_axis=dict(result.bias),
         scale_factor_by_axis=dict(result.scale_factor),
-        compensation=campaign.recordings[-1].command.compensation,
-        parameters=dict(result.parameters),
+        compensation=compensation,
+        compensation_covariance=() if compensated is None else tuple(compensated.compensation_covariance().ravel()),
+        axis_scale_covariance=result.axis_scale_covariance,
+        parameters={**result.parameters, **_residual(result, compensation)},
         operating_point={"amplitude_v": result.amplitude_v, "ref_freq_hz": result.reference_frequency_hz},
         validity={
             "temperature_min_degc": min(temperatures) - VALID_K,
@@ -90,9 +105,15 @@ def record_from_result(
             "chi2_per_dof": result.chi2_per_dof,
             "nominal_scale_factor_v_per_rad_s": volts,
             "equation": "rate = (rate_raw - bias) / scale_factor; kappa assumed constant (no self-calibration sees it)",
+            **(provenance or {}),
         },
     )
     return record.with_new_id()
+
+
+def _residual(result: CalibrationResult, compensation: tuple[float, float, float, float]) -> dict[str, Quantity]:
+    """What the compensation leaves of the drive chain."""
+    return {} if result.drive_chain is None else result.drive_chain.behind(compensation).quantities("residual_")
 
 
 def _nominal_volts(result: CalibrationResult, campaign: Campaign, axis: str) -> float:

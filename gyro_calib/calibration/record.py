@@ -58,6 +58,10 @@ class CalibrationRecord:
         By oscillator axis: bias [rad/s], scale factor [V per rad/s].
     compensation : tuple of 4 float
         Drive compensation matrix in force, row-major.
+    compensation_covariance : tuple of 16 float
+        Covariance of its elements, row-major: how well the drive chain that they undo is known; empty for a matrix that was not identified.
+    axis_scale_covariance : float, optional
+        Covariance of the two of ``scale_factor_by_axis`` [(V per rad/s)^2], where it is known.
     parameters : mapping of str to Quantity
         The fitted parameters (``A_yx_re``, ``G_yy_abs``, ``pickoff_ratio``, …).
     operating_point : mapping of str to float
@@ -94,6 +98,8 @@ class CalibrationRecord:
     bias_by_axis: Mapping[str, Quantity] = field(default_factory=dict)
     scale_factor_by_axis: Mapping[str, Quantity] = field(default_factory=dict)
     compensation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)
+    compensation_covariance: tuple[float, ...] = ()
+    axis_scale_covariance: float | None = None
     parameters: Mapping[str, Quantity] = field(default_factory=dict)
     operating_point: Mapping[str, float] = field(default_factory=dict)
     validity: Mapping[str, float] = field(default_factory=dict)
@@ -132,7 +138,10 @@ class CalibrationRecord:
             put(self, name, tuple(str(item) for item in getattr(self, name)))
         put(self, "bias_scale_covariance", float(self.bias_scale_covariance))
         put(self, "condition_number", float(self.condition_number))
+        between = self.axis_scale_covariance
+        put(self, "axis_scale_covariance", None if between is None or not math.isfinite(between) else float(between))
         put(self, "compensation", tuple(float(c) for c in self.compensation))
+        put(self, "compensation_covariance", tuple(float(c) for c in self.compensation_covariance))
         put(self, "provenance", plain("Record provenance", dict(self.provenance)))
 
     def _check_correction(self) -> None:
@@ -158,6 +167,9 @@ class CalibrationRecord:
     def _check_limits(self) -> None:
         if len(self.compensation) != 4 or not all(math.isfinite(c) for c in self.compensation):
             raise DataError(f"Record compensation must be 4 finite numbers (2x2, row-major), but got {self.compensation!r}.")
+        spread = self.compensation_covariance
+        if spread and (len(spread) != 16 or not all(math.isfinite(c) for c in spread) or min(spread[::5]) < 0.0):
+            raise DataError(f"Record compensation_covariance must be empty or a 4x4 covariance, row-major, but got {spread!r}.")
         lo, hi = self.validity.get("temperature_min_degc", -math.inf), self.validity.get("temperature_max_degc", math.inf)
         if lo > hi:
             raise DataError(f"Record validity temperature_min_degc must be <= temperature_max_degc, but got {lo!r} > {hi!r}.")
@@ -206,6 +218,7 @@ class CalibrationRecord:
             if values.get("condition_number", math.nan) is None:
                 values["condition_number"] = math.nan
             values["compensation"] = tuple(values.get("compensation", (1.0, 0.0, 0.0, 1.0)))
+            values["compensation_covariance"] = tuple(values.get("compensation_covariance", ()))
             return cls(**values)
         except KeyError as error:
             raise DataError(f"Record must have the field {error.args[0]}, but it is missing.") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .console import print_table, print_warnings, progress_bar, say, write_json
 
@@ -19,6 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result; - for stdout")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a report page")
     parser.add_argument(
+        "--record",
+        metavar="URL",
+        help="also store the calibration record: a file or its URL; default: the one of the device in $ROS_HOME",
+        nargs="?",
+        const="",
+    )
+    parser.add_argument(
         "--factory-record",
         metavar="URL",
         default="",
@@ -29,6 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="auto",
         metavar="NAME",
         help="auto, or one of sideband, document (document 000 to the letter), virtual_precession",
+    )
+    parser.add_argument(
+        "--drop-one",
+        action="store_true",
+        help="estimate again without each kind of recording and source: what carries each figure, what contradicts it (force to rebalance)",
     )
     parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
     parser.add_argument("--device-id", metavar="ID", help="identity of the unit, for a bag that lacks it")
@@ -53,14 +65,46 @@ def run(arguments: argparse.Namespace) -> int:
             on_progress=lambda fraction: report(fraction, ""),
             with_convergence=arguments.html is not None,
         )
-    if arguments.json is None or str(arguments.json) != "-":
+    document = result.to_json()
+    shown = arguments.json is None or str(arguments.json) != "-"
+    if shown:
         print_table(result_table(result))
+        for verdict in result.verdicts:
+            say(verdict)
+    if arguments.drop_one:
+        document["drop_one"] = _drop_one(campaign, shown)
     print_warnings([*(f"not observable: {item}" for item in result.not_observable), *result.warnings])
     if arguments.json is not None:
-        write_json(arguments.json, result.to_json())
+        write_json(arguments.json, document)
     if arguments.html is not None:
         _write_page(arguments, campaign, result)
+    if arguments.record is not None:
+        _store(arguments, campaign, result)
     return 0
+
+
+def _store(arguments: argparse.Namespace, campaign: Campaign, result: CalibrationResult) -> None:
+    """The record, as a run of the calibration node would have stored it."""
+    from ..calibration import RecordStore, record_from_result
+    from ..experiments import mission_mode
+
+    run_id = "calibrate " + ", ".join(path.name for path in arguments.recordings)
+    record = record_from_result(result, campaign, run_id=run_id, mode=mission_mode(campaign.factory))
+    path = RecordStore(arguments.record, campaign.device_id).save(record)
+    if arguments.json is None or str(arguments.json) != "-":
+        say(f"record: {record.record_id} in {path}")
+
+
+def _drop_one(campaign: Campaign, shown: bool) -> dict[str, Any]:
+    """The estimate without each source in turn, as a table and as JSON."""
+    from ..estimation.drop_one import drop_one
+    from ..report.drop_one_table import drop_one_table
+
+    with progress_bar("leaving out") as report:
+        found = drop_one(campaign, on_progress=lambda fraction: report(fraction, ""))
+    if shown:
+        print_table(drop_one_table(found))
+    return found.to_json()
 
 
 def _with_factory(campaign: Campaign, url: str) -> Campaign:

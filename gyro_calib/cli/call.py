@@ -1,6 +1,7 @@
 """Call a service of the calibration by its short name and wait for the end of the run.
 
-Runs: self_calibrate, run_sideband, run_feedthrough, …. At once: cancel, save, revert, self_test, enable, disable.
+Runs: self_calibrate, run_sideband, run_cubic, run_virtual_precession, run_scale_factor, run_feedthrough.
+At once: cancel, save, revert, self_test, enable, disable.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import contextlib
 import os
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,13 +130,14 @@ def _session(settings: DemoSettings, nodes: NodeGroup, client: RosClient, device
     with progress_bar("listening to the rate", lines=True) as report:
         raw, calibrated = capture.collect(LISTEN_S, lambda share: report(share, ""), still_there)
     mission = Command(record.mode, setpoints=Setpoints(device.factory_data.nominal_amplitude_v))
-    truth = truth_of(device, mission, true_rate)
+    before = truth_of(device, mission, true_rate)
+    truth = truth_of(device, replace(mission, compensation=record.compensation), true_rate)
     return DemoOutcome(
         device=device,
         true_rate_rad_s=true_rate,
         record=record,
         run_id=view.run,
-        comparison=compare(truth, true_rate, record.bias, record.scale_factor, record.rate),
+        comparison=compare(truth, true_rate, record.bias, record.scale_factor, record.rate, before=before),
         raw=raw,
         calibrated=calibrated,
         simulated_s=float(raw.time_s[-1]) - _CLOCK_EPOCH_S,

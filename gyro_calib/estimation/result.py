@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..quantity import Quantity
+from .compensation import IdentifiedChain
+from .feedthrough_check import FeedthroughCheck
 from .slow_flow_estimate import TableRow
 
 __all__ = ["CalibrationResult", "ConvergencePoint", "MissionChannel"]
@@ -71,6 +73,16 @@ class CalibrationResult:
     not_observable, warnings : tuple of str
     table : tuple of TableRow
     convergence : tuple of ConvergencePoint
+    feedthrough : FeedthroughCheck, optional
+        What the side bands say of the feedthrough that was measured (force to rebalance).
+    limits : mapping of str to mapping of str to float
+        Share of the variance of rate, bias and scale factors by where it comes from, the largest first.
+    drive_chain : IdentifiedChain, optional
+        dG, 2 delta, 2 lambda as the controller sees them, whatever compensation was in force (whole angle).
+    axis_scale_covariance : float, optional
+        Covariance of the two scale factors [(V/(rad/s))^2].
+    compensation : tuple of 4 float
+        Drive compensation that ``mission`` holds for, row-major.
     """
 
     device_id: str
@@ -91,6 +103,21 @@ class CalibrationResult:
     warnings: tuple[str, ...] = ()
     table: tuple[TableRow, ...] = ()
     convergence: tuple[ConvergencePoint, ...] = field(default=())
+    feedthrough: FeedthroughCheck | None = None
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    drive_chain: IdentifiedChain | None = None
+    axis_scale_covariance: float | None = None
+    compensation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)
+
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """Findings in sentences: whether the feedthrough is as measured, and what limits each figure."""
+        found = () if self.feedthrough is None else (self.feedthrough.verdict,)
+        limited = tuple(
+            f"{name} is limited by {', '.join(f'{source} ({100 * share:.0f} %)' for source, share in list(shares.items())[:2])}"
+            for name, shares in self.limits.items()
+        )
+        return found + limited
 
     def to_json(self) -> dict[str, Any]:
         """The JSON document of ``calibrate --json``."""
@@ -120,4 +147,18 @@ class CalibrationResult:
             },
             "not_observable": list(self.not_observable),
             "warnings": list(self.warnings),
+            "verdicts": list(self.verdicts),
+            **({} if self.feedthrough is None else {"feedthrough_check": self.feedthrough.to_json()}),
+            **({} if not self.limits else {"variance_shares": {name: dict(shares) for name, shares in self.limits.items()}}),
+            **({} if self.drive_chain is None else {"compensation": _compensation(self.drive_chain, self.compensation)}),
         }
+
+
+def _compensation(found: IdentifiedChain, in_force: tuple[float, float, float, float]) -> dict[str, Any]:
+    """The matrix that was in force, what it left, and the one that undoes the chain as it was found (row-major)."""
+    sd = np.sqrt(np.diag(found.compensation_covariance()))
+    return {
+        "in_force": list(in_force),
+        "residual": {name: q.to_json() for name, q in found.behind(in_force).quantities().items()},
+        "matrix": [Quantity(float(c), float(s), "1").to_json() for c, s in zip(found.compensation(), sd, strict=True)],
+    }

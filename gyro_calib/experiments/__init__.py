@@ -1,7 +1,7 @@
 """Sequences of commands and what they must record, written once against the instrument seam."""
 
 from .bench_plans import BENCH_PLANS, factory_plan, pickoff_phase_plan
-from .instrument import Instrument
+from .instrument import Instrument, compensation_in_force
 from .plan import Limits, Plan, Step
 from .plans import (
     PLANS,
@@ -28,6 +28,7 @@ __all__ = [
     "Progress",
     "SimulatedInstrument",
     "Step",
+    "compensation_in_force",
     "cubic_plan",
     "factory_plan",
     "feedthrough_plan",

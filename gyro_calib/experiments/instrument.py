@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 from ..recording.command import Command
 from ..recording.recording import Recording
 
-__all__ = ["Instrument"]
+__all__ = ["Instrument", "compensation_in_force"]
 
 
 @runtime_checkable
@@ -24,8 +24,10 @@ class Instrument(Protocol):
 
     Notes
     -----
-    An instrument may have ``abilities``, a set of ``"applied_rate"`` and ``"raw"``; its ``record`` then takes ``applied_rate`` (how a table
-    turns it during the recording) and ``raw_s`` (seconds of converter samples to keep) by keyword. Without the attribute it has none.
+    An instrument may have ``abilities``, a set of ``"applied_rate"``, ``"raw"`` and ``"temperature"``; its ``record`` then takes
+    ``applied_rate`` (how a table turns it during the recording), ``raw_s`` (seconds of converter samples to keep) and ``temperature_degc``
+    (where a chamber takes it while it settles, and keeps it) by keyword. Without the attribute it has none.
+    It may say what it was last commanded in ``command``; :func:`compensation_in_force` asks that.
     """
 
     @property
@@ -47,3 +49,9 @@ class Instrument(Protocol):
         ExperimentAborted
             The stream stopped, or the run was cancelled.
         """
+
+
+def compensation_in_force(instrument: Instrument) -> tuple[float, float, float, float]:
+    """Drive compensation of an instrument, row-major; the identity of one that does not say its ``command``."""
+    command = getattr(instrument, "command", None)
+    return command.compensation if isinstance(command, Command) else Command().compensation

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..errors import DataError
@@ -20,7 +20,8 @@ class Step:
     recording) plus this; units differ by more than the distance at which an open drive must stay from resonance.
 
     ``applied_rate`` is how a rate table turns the gyro meanwhile (:mod:`gyro_calib.recording.applied_rate`), ``raw_s`` for how long, at the
-    end of the step, converter samples are kept; an instrument says in its ``abilities`` whether it can.
+    end of the step, converter samples are kept, ``temperature_degc`` where a chamber takes it while it settles and keeps it from then
+    on; an instrument says in its ``abilities`` whether it can.
     """
 
     label: str
@@ -30,6 +31,7 @@ class Step:
     detuning_hz: float | None = None
     applied_rate: Mapping[str, Any] | None = None
     raw_s: float = 0.0
+    temperature_degc: float | None = None
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0 or self.settle_s < 0:
@@ -40,7 +42,8 @@ class Step:
     @property
     def needs(self) -> frozenset[str]:
         """Abilities that the step asks of an instrument."""
-        return frozenset((["applied_rate"] if self.applied_rate else []) + (["raw"] if self.raw_s > 0.0 else []))
+        asked = {"applied_rate": self.applied_rate, "raw": self.raw_s > 0.0, "temperature": self.temperature_degc is not None}
+        return frozenset(name for name, wanted in asked.items() if wanted)
 
 
 @dataclass(frozen=True)
@@ -72,3 +75,24 @@ class Plan:
     def duration_s(self) -> float:
         """Device time that the plan takes [s]."""
         return sum(s.duration_s + s.settle_s for s in self.steps)
+
+    def with_compensation(
+        self,
+        matrix: tuple[float, float, float, float],
+        *,
+        final: tuple[float, float, float, float] | None = None,
+        suffix: str = "",
+    ) -> Plan:
+        """The same plan with a drive compensation (row-major) in force in every step, and ``final`` in force when it ends.
+
+        Parameters
+        ----------
+        matrix : tuple of 4 float
+            During the steps.
+        final : tuple of 4 float, optional
+            Afterwards, however the plan ends (default: ``matrix``).
+        suffix : str
+            Appended to the labels.
+        """
+        steps = tuple(replace(s, label=s.label + suffix, command=replace(s.command, compensation=matrix)) for s in self.steps)
+        return replace(self, steps=steps, final=replace(self.final, compensation=matrix if final is None else final))

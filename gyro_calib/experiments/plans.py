@@ -12,7 +12,14 @@ from typing import Any
 from ..errors import DataError
 from ..recording.command import Command, Excitation, Setpoints
 from .plan import Limits, Plan, Step
-from .whole_angle_plans import scale_factor_plan, scale_factor_steps, virtual_precession_plan, virtual_precession_steps
+from .whole_angle_plans import (
+    PLACE_SETTLE_S,
+    nominal_decay,
+    scale_factor_plan,
+    scale_factor_steps,
+    virtual_precession_plan,
+    virtual_precession_steps,
+)
 
 __all__ = [
     "PLANS",
@@ -62,6 +69,8 @@ BODY_HZ = (-40.0, 40.0)
 CUBIC_AMPLITUDES = (0.6, 1.0, 1.4)
 #: the loops need this long after a command; the first is a change of the oscillator axis [s]
 SWAP_SETTLE_S, SETTLE_S, OPEN_SETTLE_S = 3.0, 1.0, 2.0
+#: amplitude to which a wave that would ring on is brought down before its loops are opened, over the mission's
+HUSH_SHARE = 0.01
 
 
 def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
@@ -178,7 +187,10 @@ def _open_steps(q: Quality, factory: Mapping[str, Any]) -> list[Step]:
     """Loops-off records about the resonance that a short static record measures first."""
     volts = 0.4 * float(factory.get("dac_full_scale_V", 5.0))
     amplitude = _amplitude(factory)
-    steps = [Step("locate", Command("ftr_x", setpoints=Setpoints(amplitude)), 2.0, SWAP_SETTLE_S)]
+    # a hemisphere rings on for minutes once its loops are open, far above what the drives make there: bring it down first
+    slow = 0.0 < nominal_decay(factory) * OPEN_SETTLE_S < 1.0
+    locate = Command("ftr_x", setpoints=Setpoints(HUSH_SHARE * amplitude if slow else amplitude))
+    steps = [Step("locate", locate, 2.0, PLACE_SETTLE_S if slow else SWAP_SETTLE_S)]
     for df in FEEDTHROUGH_HZ:
         for axis in "xy":
             command = Command("loops_off", Excitation("drive", 0.0, 0.0, volts, axis), Setpoints(amplitude))

@@ -8,18 +8,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ExperimentAborted, GyroCalibError
 from ..recording.command import Command
-from ..recording.rate import raw_rate
+from ..recording.rate import WAVE_MODES, raw_rate, wave_azimuth
 from ..recording.recording import Campaign, Recording
 from .instrument import Instrument
 from .plan import Plan, Step
 
 __all__ = ["Progress", "run_plan"]
 
+FloatArray = NDArray[np.float64]
+
 #: base motion is looked for in means over this time [s]
 _MOTION_WINDOW_S = 0.5
+#: a wave that turned by so much of a period of 4 theta shows what goes with its azimuth; columns of that fit
+_LEAST_TURN, _COLUMNS = 0.9, 5
 #: share of what a drive turns in a nominal unit by which a real one may differ (gains, couplings)
 _NOMINAL_SHARE = 0.08
 
@@ -94,7 +99,7 @@ def _check_abilities(instrument: Instrument, plan: Plan) -> None:
     needs = frozenset().union(*(step.needs for step in plan.steps))
     missing = sorted(needs - frozenset(getattr(instrument, "abilities", ())))
     if missing:
-        words = {"applied_rate": "turn on a rate table", "raw": "keep converter samples"}
+        words = {"applied_rate": "turn on a rate table", "raw": "keep converter samples", "temperature": "stand in a chamber"}
         raise ExperimentAborted(
             f"Plan {plan.name!r} must run on an instrument that can {' and '.join(words[m] for m in missing)}, but "
             f"{instrument.device_id!r} cannot. Record it with the table's or the converter's own logger and give the file."
@@ -107,6 +112,8 @@ def _record(instrument: Instrument, step: Step) -> Recording:
         more["applied_rate"] = step.applied_rate
     if step.raw_s > 0.0:
         more["raw_s"] = step.raw_s
+    if step.temperature_degc is not None:
+        more["temperature_degc"] = step.temperature_degc
     return instrument.record(step.duration_s, settle_s=step.settle_s, label=step.label, **more)
 
 
@@ -137,6 +144,8 @@ class _Watch:
         self._factory = factory
         self._temperature: float | None = None
         self._rates: dict[str, float] = {}
+        #: rate of the wave in the recording that the drives disturbed least, and how much they may have [rad/s]
+        self._waves = (0.0, np.inf)
 
     def check(self, step: Step, recording: Recording) -> None:
         self._check_temperature(step, recording)
@@ -145,7 +154,7 @@ class _Watch:
 
     def _check_temperature(self, step: Step, recording: Recording) -> None:
         temperature = recording.temperature_degc
-        if self._temperature is None:
+        if self._temperature is None or step.temperature_degc is not None:  # moved on purpose: from there on
             self._temperature = float(temperature[0])
         excursion = float(np.max(np.abs(temperature - self._temperature)))
         if excursion > self._limits.temperature_k:
@@ -155,34 +164,58 @@ class _Watch:
             )
 
     def _check_base(self, step: Step, recording: Recording) -> None:
-        if step.command.oscillator_axis is None:
-            return  # a wave that precesses by command, or rings down, has no rate that would tell a moved base from its own motion
-        rate = raw_rate(recording.data, step.command, self._factory)
-        width = max(1, round(_MOTION_WINDOW_S * recording.sample_rate_hz))
-        if np.isnan(rate).any() or rate.size < 2 * width:
+        mode = step.command.mode
+        if mode not in WAVE_MODES and step.command.oscillator_axis is None:
             return
-        means = rate[: rate.size // width * width].reshape(-1, width).mean(axis=1)
-        if step.command.excitation.kind == "none":
-            spread = float(np.max(np.abs(means - np.median(means))))
-            middle = float(np.median(means))
-            before = self._rates.setdefault(step.command.mode, middle)
-            worst = max(spread, abs(middle - before))
-        else:
+        means = _means(raw_rate(recording.data, step.command, self._factory), recording.sample_rate_hz)
+        if means.size < 2 or np.isnan(means).any():
+            return
+        middle = float(np.median(means))
+        worst = self._wave_spread(recording, means) if mode in WAVE_MODES else float(np.max(np.abs(means - middle)))
+        if step.command.excitation.kind != "none":
             # the modulation itself moves the rate channel: only a motion that the modulation cannot make is held against the base
-            worst = float(np.max(np.abs(means - np.median(means)))) - abs(float(np.median(means))) * 2.0 * step.command.excitation.index
-        # what the command itself turns is known no better than the nominal unit is
-        if worst - _NOMINAL_SHARE * self._commanded_rate(step) > self._limits.base_rate_rad_s:
+            worst -= abs(middle) * 2.0 * step.command.excitation.index
+        else:
+            worst = max(worst, self._moved_since(step, recording, middle))
+        if worst > self._limits.base_rate_rad_s:
             limit, moved = np.degrees(self._limits.base_rate_rad_s), np.degrees(worst)
             raise ExperimentAborted(
                 f"Base must stay within {limit:.3g} deg/s of rest, but moved {moved:.3g} deg/s in step {step.label}. "
                 "Hold the gyro still and run again, or raise base_rate_limit_rad_s."
             )
 
-    def _commanded_rate(self, step: Step) -> float:
-        """Input rate that the drives of virtual precession, ring-down or stiffness control stand for [rad/s]."""
+    def _wave_spread(self, recording: Recording, means: FloatArray) -> float:
+        """Largest motion inside a recording of a free wave [rad/s].
+
+        Unbalanced forcers turn the wave with its azimuth: over a period of 4 theta what follows the azimuth is told from a motion of the
+        base, over less the forcers are doubted.
+        """
+        angle = 4.0 * _means(wave_azimuth(recording.data), recording.sample_rate_hz)
+        if np.ptp(angle) < 2.0 * np.pi * _LEAST_TURN or means.size < 2 * _COLUMNS:
+            return float(np.max(np.abs(means - np.median(means)))) - self._doubt(recording)
+        design = np.column_stack([np.ones_like(angle), *(wave(k * angle) for k in (1, 2) for wave in (np.cos, np.sin))])
+        return float(np.max(np.abs(means - design @ np.linalg.lstsq(design, means, rcond=None)[0])))
+
+    def _moved_since(self, step: Step, recording: Recording, middle: float) -> float:
+        """Change of the rate since the first recording of its kind, beyond what the drives may have done to it [rad/s]."""
+        if step.command.mode not in WAVE_MODES:
+            return abs(middle - self._rates.setdefault(step.command.mode, middle))
+        doubt = self._doubt(recording)
+        first, its_doubt = self._waves
+        if doubt < its_doubt:
+            self._waves = middle, doubt
+        return abs(middle - first) - doubt - its_doubt if np.isfinite(its_doubt) else 0.0
+
+    def _doubt(self, recording: Recording) -> float:
+        """What the drives of a recording may turn otherwise than in a nominal unit [rad/s]: a share of the input rate they stand for."""
         nominal = self._factory["nominal_scale_factor_v_per_rad_s"]
         if not isinstance(nominal, Mapping) or "x" not in nominal:
             return 0.0
-        set_to = step.command.setpoints
-        volts = abs(set_to.virtual_precession_v) + set_to.amplitude_v * (abs(set_to.amplitude_gain_v_per_v) + abs(set_to.stiffness_v_per_v))
-        return volts / abs(float(nominal["x"]))
+        volts = float(np.sqrt(np.mean(np.sum(recording.data[:, 6:10] ** 2, axis=1))))
+        return _NOMINAL_SHARE * volts / abs(float(nominal["x"]))
+
+
+def _means(values: FloatArray, rate_hz: float) -> FloatArray:
+    """Means over the time in which a motion of the base is looked for."""
+    width = max(1, round(_MOTION_WINDOW_S * rate_hz))
+    return np.asarray(values[: values.size // width * width].reshape(-1, width).mean(axis=1))

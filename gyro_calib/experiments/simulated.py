@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 
 class SimulatedInstrument:
-    """Implements :class:`.instrument.Instrument` on a :class:`~gyro_calib.simulation.GyroSimulator`, with a rate table and raw samples.
+    """Implements :class:`.instrument.Instrument` on a :class:`~gyro_calib.simulation.GyroSimulator`, with a rate table and a chamber.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class SimulatedInstrument:
         Sensitive axis in the frame of the case, normalised here: the mounting's misalignment, hidden likewise.
     """
 
-    abilities = frozenset({"applied_rate", "raw"})
+    abilities = frozenset({"applied_rate", "raw", "temperature"})
 
     def __init__(
         self, simulator: GyroSimulator, rate_rad_s: float = 0.0, *, sense_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -52,6 +52,11 @@ class SimulatedInstrument:
         """What left the factory with the unit."""
         return self._simulator.factory
 
+    @property
+    def command(self) -> Command:
+        """What is in force."""
+        return self._simulator.command
+
     def configure(self, command: Command) -> None:
         """Put a command in force."""
         self._simulator.configure(command)
@@ -65,6 +70,7 @@ class SimulatedInstrument:
         label: str = "",
         applied_rate: Mapping[str, Any] | None = None,
         raw_s: float = 0.0,
+        temperature_degc: float | None = None,
     ) -> Recording:
         """Simulate the settling time (the first time after a command), then record.
 
@@ -76,8 +82,12 @@ class SimulatedInstrument:
             How a table turns the gyro from the start of the record on (:mod:`gyro_calib.recording.applied_rate`).
         raw_s : float
             Converter samples are kept of this long at the end [s]; carrier fidelity only.
+        temperature_degc : float, optional
+            Where a chamber takes the gyro in the first half of the settling time, and keeps it from then on.
         """
         simulator = self._simulator
+        if temperature_degc is not None:
+            simulator.move_to_temperature(temperature_degc, 0.5 * settle_s if self._fresh else 0.0)
         if self._fresh and settle_s > 0.0:
             simulator.advance(settle_s, self._rate)
         self._fresh = False

@@ -19,6 +19,7 @@ from .plan import Limits, Plan, Step
 __all__ = [
     "SPEEDS",
     "WaveQuality",
+    "nominal_decay",
     "nominal_gain",
     "scale_factor_plan",
     "scale_factor_steps",
@@ -63,6 +64,8 @@ MARGIN, ABOVE_DRIFT, UNBALANCE = 1.08, 3.0, 0.03
 MOST_SHARE, RING_SHARE, STIFFNESS_SHARE = 0.7, 0.4, 0.2
 #: time for the wave to come up and the loops to settle after loops off or a change of axis, and after another command [s]
 PLACE_SETTLE_S, SETTLE_S = 8.0, 2.0
+#: for the loops to follow a step of the stiffness control [s]; recorded from the step on, a hemisphere's gain comes out 0.6 % high
+STIFFNESS_SETTLE_S = 0.5
 #: longest leg of a ring-down [s]
 LONGEST_LEG_S = 60.0
 
@@ -116,7 +119,7 @@ def scale_factor_steps(factory: Mapping[str, Any], quality: str) -> list[Step]:
     """Ring-down, ring-up and stiffness control with the wave on x, then on y."""
     q = _quality(quality)
     amplitude, gain, full = _amplitude(factory), nominal_gain(factory), _full_scale(factory)
-    decay = _decay(factory)
+    decay = nominal_decay(factory)
     ratio = RING_SHARE * full / amplitude
     if ratio * gain < 1.2 * decay:
         raise DataError(
@@ -135,7 +138,7 @@ def scale_factor_steps(factory: Mapping[str, Any], quality: str) -> list[Step]:
             steps.append(Step(f"{mode}_{axis}", command, duration, 0.0))
         for turn, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
             command = Command("stiffness", setpoints=Setpoints(amplitude, stiffness_v_per_v=sign * stiffness))
-            steps.append(Step(f"stiffness_{axis}_{turn}", command, q.stiffness_s, 0.0 if turn else SETTLE_S))
+            steps.append(Step(f"stiffness_{axis}_{turn}", command, q.stiffness_s, STIFFNESS_SETTLE_S if turn else SETTLE_S))
     return steps
 
 
@@ -168,7 +171,7 @@ def _precession_step(factory: Mapping[str, Any], label: str, speed_deg_s: float,
 
 def _speed(factory: Mapping[str, Any], q: WaveQuality) -> float:
     """Speed of the pair: the quality's, but never so slow that the drift of unbalanced forcers stops the wave [deg/s]."""
-    return max(q.speed_deg_s, ABOVE_DRIFT * math.degrees(0.5 * UNBALANCE * _decay(factory)))
+    return max(q.speed_deg_s, ABOVE_DRIFT * math.degrees(0.5 * UNBALANCE * nominal_decay(factory)))
 
 
 def _wave(factory: Mapping[str, Any]) -> Command:
@@ -188,7 +191,7 @@ def _full_scale(factory: Mapping[str, Any]) -> float:
     return float(factory.get("dac_full_scale_V", 5.0))
 
 
-def _decay(factory: Mapping[str, Any]) -> float:
+def nominal_decay(factory: Mapping[str, Any]) -> float:
     """Nominal 1/tau [1/s]."""
     return math.pi * float(factory.get("nominal_f0_hz", 0.0)) / float(factory.get("nominal_q", math.inf))
 

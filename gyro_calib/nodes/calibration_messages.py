@@ -89,6 +89,8 @@ def flatten_record(record: CalibrationRecord) -> dict[str, object]:
         for axis, found in getattr(record, key).items():
             flat |= _quantity(f"{key.removesuffix('_by_axis')}.{axis}", found)
     flat["compensation [1]"] = ", ".join(f"{c:.9g}" for c in record.compensation)
+    if record.compensation_covariance:
+        flat["compensation.sd [1]"] = ", ".join(f"{math.sqrt(c):.3g}" for c in record.compensation_covariance[::5])
     for name, found in record.parameters.items():
         flat |= _quantity(f"parameters.{name}", found)
     for group in ("operating_point", "validity"):

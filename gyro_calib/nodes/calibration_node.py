@@ -13,12 +13,13 @@ Latched topics
 Policy
     The record of a successful run is in force at once, and on disk unless ``autosave`` is false; ``~/save`` stores it, ``~/revert`` takes
     the one before back into force and on disk. A run that ends in any other way changes neither.
+    The drive compensation of a record is a parameter of the gyro: a run puts it in force with its record, a revert takes the earlier one
+    back, and a gyro that starts without one gets it (``apply_compensation``).
 """
 
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import threading
 import traceback
@@ -43,10 +44,11 @@ from .calibration_messages import self_test_response, status_message
 from .calibration_parameters import check_parameters, declare_parameters, read_parameters
 from .calibration_runs import RUNS, CalibrationRun, KeptRecordings
 from .calibration_topics import CalibrationTopics
+from .compensation_keeper import CompensationKeeper
 from .gyro_client import GyroClient
 from .gyro_watch import GyroFacts, GyroWatch, MonitoredInstrument
 from .run_manager import Outcome, Reply, RunHandle, RunManager, RunState, RunStatus
-from .runtime import LATCHED_QOS, make_executor, spin
+from .runtime import LATCHED_QOS, close_on_signal, make_executor, spin
 from .self_checks import check_device, check_record, check_store, check_stream
 
 __all__ = ["CalibrationNode", "main"]
@@ -90,6 +92,7 @@ class CalibrationNode(Node):
             notice=lambda text: self.get_logger().warning(text),
         )
         self._client = GyroClient(self, settings.gyro_node, timeout_s=_WATCH_TIMEOUT_S)
+        self._keeper = CompensationKeeper(self._client.set, lambda text: self._log(RunState.DONE, text))
         self._watch = GyroWatch(self._client.get, self._meet, self._publish_status)
         self._channels = self.resolve_topic_name("channels")
         self._make_services()
@@ -137,8 +140,9 @@ class CalibrationNode(Node):
         facts = self._ready()
         settings = read_parameters(self)
         kind = RUNS[name]
+        kind.check(facts.factory)
         try:
-            plan = kind.plan(facts.factory, quality=settings.plan_quality, limits=settings.limits)
+            plan, verify = kind.plans(facts.factory, quality=settings.plan_quality, limits=settings.limits)
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise DataError(f"Factory data of the gyro must be usable, but got {facts.factory!r} ({error}). Correct the driver.") from error
         work = CalibrationRun(
@@ -149,6 +153,8 @@ class CalibrationNode(Node):
             confirm=lambda: self._confirm(facts.device_id),
             adopt=partial(self._in_force.adopt, save=settings.autosave),
             artifacts=Path(settings.artifacts_dir).expanduser() if settings.artifacts_dir else None,
+            verify=verify,
+            in_force=lambda: self._in_force.record,
         )
         reply = self._runs.request(name, partial(self._carry_out, facts.device_id, work))
         if not reply.accepted:
@@ -187,7 +193,9 @@ class CalibrationNode(Node):
     def _revert(self) -> Reply:
         if self._runs.busy:
             raise StoreError(f"Run {self._runs.status.run_id} is in progress. Wait for it to end or cancel it.")
-        return Reply(True, self._in_force.revert())
+        said = self._in_force.revert()
+        self._owe(only_fresh=False)
+        return Reply(True, said)
 
     def _answer_self_test(self, _: Any, response: Any) -> Any:
         facts, recent, store = self._watch.facts, self._instrument.recent, self._in_force.store
@@ -231,6 +239,16 @@ class CalibrationNode(Node):
             self._bind(facts.device_id)
         else:
             self._on_calibration()
+        if self._watch.facts is None or self._watch.problem:
+            self._owe(only_fresh=True)
+        if device.passed and not self._runs.busy:
+            self._keeper.pay(facts.command)
+
+    def _owe(self, *, only_fresh: bool) -> None:
+        """The gyro is to have the drive compensation of its record, unless that is left to others."""
+        record = self._in_force.record
+        if self._calibrated(record) and read_parameters(self).apply_compensation:
+            self._keeper.owe(record, only_fresh=only_fresh)
 
     def _bind(self, device_id: str) -> None:
         self._bound = device_id
@@ -317,6 +335,8 @@ class CalibrationNode(Node):
                 found.append(
                     f"The gyro is left in {command.mode} with excitation {command.excitation.kind}: run a calibration or set its mode."
                 )
+            elif command is not None and (record := self._in_force.record) is not None and self._calibrated(record):
+                found += self._keeper.problems(record, command)
         return [text for text in found if text]
 
     # -- the end ----------------------------------------------------------------------------------------------------------------------
@@ -350,7 +370,7 @@ def main(args: Sequence[str] | None = None) -> int:
         node = CalibrationNode()
         executor = make_executor()
         executor.add_node(node)
-        _close_on_signal(node, quiet)
+        close_on_signal(node.close, quiet)
         spin(executor, quiet)
         return 0
     except (GyroCalibError, rclpy.exceptions.InvalidParameterTypeException, rclpy.exceptions.InvalidParameterValueException) as error:
@@ -362,23 +382,6 @@ def main(args: Sequence[str] | None = None) -> int:
                 executor.remove_node(node)
             node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _close_on_signal(node: CalibrationNode, quiet: Future) -> None:
-    """On a signal close the node in another thread, its callbacks still served, and then finish ``quiet``; later signals change nothing."""
-    ending = threading.Event()
-
-    def close() -> None:
-        node.close()
-        quiet.set_result(None)
-
-    def end(*_: object) -> None:
-        if not ending.is_set():
-            ending.set()
-            threading.Thread(target=close, name="close", daemon=True).start()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ class CalibrationSettings:
     base_rate_limit_rad_s: float
     plan_quality: str
     autosave: bool
+    apply_compensation: bool
     artifacts_dir: str
 
     @property
@@ -69,6 +70,8 @@ def declare_parameters(node: Any) -> CalibrationSettings:
     )
     node.declare_parameter("plan_quality", "standard", describe(f"Durations of the next runs, one of {qualities}"))
     node.declare_parameter("autosave", True, describe("Store the record of a successful run at once; otherwise ~/save does"))
+    text = "Put the drive compensation of the calibration in force on a gyro that starts without one, and on revert; otherwise that is said"
+    node.declare_parameter("apply_compensation", True, describe(text))
     node.declare_parameter("artifacts_dir", "", describe("Folder for the recordings of each run, <run id>/campaign.h5; empty: not kept"))
     settings = read_parameters(node)
     _check_quality(settings.plan_quality)

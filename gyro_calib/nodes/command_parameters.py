@@ -56,8 +56,8 @@ class CommandLimits:
         )
 
 
-def declare_command(node: Any, limits: CommandLimits) -> None:
-    """Declare the command parameters on ``node`` with the defaults of :class:`~gyro_calib.recording.command.Command`."""
+def declare_command(node: Any, limits: CommandLimits, start: Command | None = None) -> None:
+    """Declare the command parameters on ``node``, with the values of ``start`` (default: ``Command()``) unless overridden."""
     descriptors = {
         "mode": describe(f"Operating mode, one of {', '.join(limits.modes)}. x or y: the oscillator axis"),
         "excitation.kind": describe(f"Known disturbance, one of {', '.join(EXCITATIONS)}; drive and body need mode loops_off"),
@@ -82,7 +82,7 @@ def declare_command(node: Any, limits: CommandLimits) -> None:
         "setpoint.rebalance": describe("Rebalance of the closed axis: 1 on, 0 off (open secondary) [1]", lo=0.0, hi=1.0, step=1.0),
         "compensation": describe(f"Drive compensation, 2x2 row-major, applied to (u_x, u_y); elements within +/-{_COMPENSATION:g} [V/V]"),
     }
-    for name, default in Command().to_parameters().items():
+    for name, default in (start or Command()).to_parameters().items():
         node.declare_parameter(name, default, descriptors[name])
 
 

@@ -34,6 +34,7 @@ from std_msgs.msg import Float64MultiArray
 
 from ..device import draw_unit, load_device
 from ..errors import DataError, GyroCalibError
+from ..experiments import mission_mode
 from ..recording.command import Command
 from ..recording.rate import raw_rate
 from ..simulation import GyroSimulator
@@ -111,9 +112,9 @@ class GyroSimNode(Node):
         self._factory = dict(sim.factory)
         self._declare_facts()
         self._limits = CommandLimits.of(self._factory, sim.sample_rate_hz, modes or supported_modes())
-        declare_command(self, self._limits)
+        declare_command(self, self._limits, Command(mission_mode(self._factory)))
         if (command := read_command(self)) != sim.command:
-            # overrides at start-up are a first command
+            # a mission that is not the simulator's own, and overrides at start-up, are a first command
             check_command(command, self._limits)
             self._commands.put(command)
         self._input = RateInput(timeout_s=settings.true_rate_timeout_s)

@@ -126,6 +126,12 @@ class RosInstrument:
         return self._known()[2]
 
     @property
+    def command(self) -> Command:
+        """What is in force as far as it is known here: as read on connecting, or as set since; connects if that was not done."""
+        self._known()
+        return self._command
+
+    @property
     def latest_row(self) -> FloatArray | None:
         """Newest row of the stream, shape (12,); None before the first. Never waits."""
         return self._stream.latest

@@ -100,6 +100,10 @@ class RunHandle:
         """Report the part done [0…1], the wall time left [s] and the present step; too late once the estimate has begun."""
         self._manager._update(RunState.RUNNING, fraction=min(max(fraction, 0.0), 1.0), eta_s=eta_s, message=message)
 
+    def found(self, results: Mapping[str, Quantity], message: str) -> None:
+        """Report what is found already; the run goes on."""
+        self._manager._update(RunState.RUNNING, message=message, results=dict(results))
+
     def estimating(self, message: str) -> None:
         """Say that the recordings are complete and the estimate is being computed."""
         self._manager._update(RunState.ESTIMATING, fraction=1.0, eta_s=0.0, message=message)

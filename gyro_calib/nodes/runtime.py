@@ -22,7 +22,7 @@ try:
 except ImportError:  # an rclpy without it
     EventsExecutor = None
 
-__all__ = ["LATCHED_QOS", "SENSOR_PUB_QOS", "SENSOR_SUB_QOS", "describe", "make_executor", "run_node", "spin"]
+__all__ = ["LATCHED_QOS", "SENSOR_PUB_QOS", "SENSOR_SUB_QOS", "close_on_signal", "describe", "make_executor", "run_node", "spin"]
 
 #: sensor topics, publishing side: whoever asks for reliability gets it
 SENSOR_PUB_QOS = QoSProfile(
@@ -145,3 +145,20 @@ def _take_down(node: Node | None, executor: Any) -> None:
                 node.destroy_node()
         finally:
             rclpy.try_shutdown()
+
+
+def close_on_signal(close: Callable[[], None], quiet: Future) -> None:
+    """On SIGINT or SIGTERM call ``close`` in another thread, callbacks still served, then finish ``quiet``; later ones change nothing."""
+    ending = threading.Event()
+
+    def work() -> None:
+        close()
+        quiet.set_result(None)
+
+    def end(*_: object) -> None:
+        if not ending.is_set():
+            ending.set()
+            threading.Thread(target=work, name="close", daemon=True).start()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)

@@ -56,6 +56,12 @@ def result_table(result: CalibrationResult) -> Table:
         rows.append((f"bias, {axis} oscillator", *quantity_cells(in_deg_h(bias))))
     for axis, scale in result.scale_factor.items():
         rows.append((f"scale factor, {axis} oscillator", *quantity_cells(scale)))
+    if result.drive_chain is not None:
+        channel, sd = result.mission["whole_angle"], result.mission["whole_angle"].covariance.diagonal() ** 0.5
+        rows.append(("bias, whole angle", *quantity_cells(in_deg_h(Quantity(channel.bias_v, float(sd[0]), channel.unit)))))
+        rows.append(("scale factor, whole angle", *quantity_cells(Quantity(channel.volts_per_rad_s, float(sd[1]), "1"))))
+        for name, left in result.drive_chain.behind(result.compensation).quantities().items():
+            rows.append((f"{name} behind the compensation", *quantity_cells(left)))
     return Table(f"Calibration of {result.device_id}", ("", "value", "sd", "unit"), tuple(rows))
 
 

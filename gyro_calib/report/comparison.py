@@ -58,7 +58,9 @@ class Comparison:
         }
 
 
-def compare(truth: HasTruth, true_rate_rad_s: float, bias: Quantity, scale_factor: Quantity, rate: Quantity) -> Comparison:
+def compare(
+    truth: HasTruth, true_rate_rad_s: float, bias: Quantity, scale_factor: Quantity, rate: Quantity, *, before: HasTruth | None = None
+) -> Comparison:
     """Compare an estimate with the truth.
 
     Parameters
@@ -69,6 +71,8 @@ def compare(truth: HasTruth, true_rate_rad_s: float, bias: Quantity, scale_facto
         True constant input rate [rad/s].
     bias, scale_factor, rate : Quantity
         Estimates of ``rate_raw``'s bias [rad/s], scale factor [1] and of the input rate [rad/s].
+    before : object with bias_rad_s, scale_factor, optional
+        True model of ``rate_raw`` before the calibration, where that changed it too (drive compensation); default: ``truth``.
 
     Returns
     -------
@@ -77,9 +81,10 @@ def compare(truth: HasTruth, true_rate_rad_s: float, bias: Quantity, scale_facto
         factor ``K / K'``.
     """
     estimated = scale_factor.value
+    before = before or truth
     return Comparison(
-        before_bias=Quantity(truth.bias_rad_s / DEG_H, 0.0, "deg/h"),
-        before_scale_factor=Quantity((truth.scale_factor - 1.0) / PPM, 0.0, "ppm"),
+        before_bias=Quantity(before.bias_rad_s / DEG_H, 0.0, "deg/h"),
+        before_scale_factor=Quantity((before.scale_factor - 1.0) / PPM, 0.0, "ppm"),
         after_bias=Quantity((truth.bias_rad_s - bias.value) / estimated / DEG_H, bias.sd / abs(estimated) / DEG_H, "deg/h"),
         after_scale_factor=Quantity((truth.scale_factor / estimated - 1.0) / PPM, scale_factor.sd / abs(estimated) / PPM, "ppm"),
         error_bias=Quantity((bias.value - truth.bias_rad_s) / DEG_H, bias.sd / DEG_H, "deg/h"),
