@@ -24,7 +24,7 @@ from ..recording.recording import Recording
 from .projection import hold_factor, test_functions
 from .wave import smooth_azimuth, wave_coordinates
 
-__all__ = ["CHANNELS", "Products", "WaveProjected", "in_wave_frame"]
+__all__ = ["CHANNELS", "Products", "WaveProjected", "frame_directions", "in_wave_frame", "spectral_derivatives", "thin"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -60,8 +60,9 @@ class WaveProjected:
         V, and V times time from -1 to 1: regressors of this recording's own resonance shift.
     terms : dict of str to ndarray, shape (2 m, k), complex
         By name, see :func:`in_wave_frame`.
-    gram : ndarray, shape (2 m, 2 m)
-        Inner products of the test functions.
+    gram, slope_gram : ndarray, shape (2 m, 2 m)
+        Inner products of the test functions, and of their derivatives, the frame's turning included: what white noise of the forces and of
+        the pick-offs projects to.
     turn_rad : float
         How far the azimuth psi moved [rad].
     """
@@ -82,10 +83,16 @@ class WaveProjected:
     resonance: ComplexArray
     terms: dict[str, ComplexArray]
     gram: FloatArray
+    slope_gram: FloatArray
     turn_rad: float
 
+    @property
+    def slope_hz(self) -> FloatArray:
+        """Root mean square slope of each test function over 2 pi [Hz]: near its line, but never below what the window's ends make."""
+        return np.asarray(np.sqrt(np.diag(self.slope_gram)) / (2.0 * np.pi))
 
-def _thin(signal: NDArray[Any], width: int) -> NDArray[Any]:
+
+def thin(signal: NDArray[Any], width: int) -> NDArray[Any]:
     """Three running means of ``width`` rows, one row of ``width`` kept; along the first axis."""
     if width <= 1:
         return signal
@@ -139,9 +146,10 @@ class Products:
         self._row_s = self._width / rate_hz
         self._omega0, self._decay = omega0_rad_s, decay_rate
         omega = recording.ref_omega_rad_s
-        stretch, slow = omega / omega0_rad_s, (omega - omega0_rad_s) / (2.0 * omega0_rad_s)
+        # what multiplies p' (projection.project)
+        stretch, slow = 0.5 * (omega + omega.mean()) / omega0_rad_s, (omega - omega0_rad_s) / (2.0 * omega0_rad_s)
         detuning = (omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s) - resonance_shift_rad_s
-        self._gain = (stretch + slow)[:, None]
+        self._gain = stretch[:, None]
         self._shift = (1j * detuning + 2.0 * decay_rate * slow)[:, None]
         half_hold = 0.5 * float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
         V, u = recording.pick, recording.drive
@@ -152,10 +160,11 @@ class Products:
         excitation = recording.command.excitation
         body = complex(excitation.volts) if excitation.kind == "body" else 0j
         time = np.linspace(-1.0, 1.0, len(recording))[:, None]
-        self._t = _thin(recording.t, self._width)
+        self._t = thin(recording.t, self._width)
         slow, self._slow_hz = _slow_waves(recording)
         self._parts: list[dict[str, list[ComplexArray]]] = []
-        directions, speed = _directions(recording)
+        directions, speed = frame_directions(recording)
+        self._speed = thin(speed, self._width)
         #: how fast the azimuth moves, leaving out its few fastest rows [rad/s], and how far it moved [rad]
         self.speed_rad_s = float(np.quantile(np.abs(speed), 0.98))
         self.turn_rad = abs(float(np.sum(speed))) / rate_hz
@@ -169,12 +178,12 @@ class Products:
                 "rate_pick": self._by_axis(d.m, rate[:, None] * V),
                 "rate_drive": self._by_axis(d.m, rate[:, None] * u),
                 "jerk": self._by_axis(d.m, slope[:, None] * V),
-                "body": [_thin(d.m * body, self._width)],
-                "constant": [_thin(d.m * (1.0 + 0j), self._width)],
-                "slow": [_thin((d.m[:, :, None] * slow[:, None, :] + 0j).reshape(len(recording), -1), self._width)],
-                "resonance": [_thin(np.stack([np.sum(d.m * X, axis=1) for X in (V, time * V)], axis=1), self._width)],
+                "body": [thin(d.m * body, self._width)],
+                "constant": [thin(d.m * (1.0 + 0j), self._width)],
+                "slow": [thin((d.m[:, :, None] * slow[:, None, :] + 0j).reshape(len(recording), -1), self._width)],
+                "resonance": [thin(np.stack([np.sum(d.m * X, axis=1) for X in (V, time * V)], axis=1), self._width)],
             }
-            part |= {name: [_thin(np.sum(d.m[:, None, :] * f(V, u, rate), axis=2), self._width)] for name, f in (plain or {}).items()}
+            part |= {name: [thin(np.sum(d.m[:, None, :] * f(V, u, rate), axis=2), self._width)] for name, f in (plain or {}).items()}
             part |= {name: self._derived(d, f(V, u, rate)) for name, f in (derived or {}).items()}
             self._parts.append(part)
         self._names = (*(plain or {}), *(derived or {}))
@@ -182,7 +191,7 @@ class Products:
     def project(self, frequencies_hz: Sequence[float]) -> WaveProjected:
         """The equations on these lines (0: the mean)."""
         f = test_functions(self._t, self._row_s, list(frequencies_hz))
-        weights = (f.value, *_derivatives(f.value, self._row_s))
+        weights = (f.value, *spectral_derivatives(f.value, self._row_s))
 
         def on_lines(name: str) -> ComplexArray:
             # the k-th entry of a signal goes with the k-th derivative of the test functions
@@ -194,6 +203,10 @@ class Products:
             return np.concatenate(rows)
 
         gram = self._row_s * (f.value @ f.value.T)
+        # (phi n)' = phi' n + psi' phi n_perp, (phi n_perp)' = phi' n_perp - psi' phi n
+        steep, turned = weights[1], self._speed * f.value
+        own = self._row_s * (steep @ steep.T + turned @ turned.T)
+        between = self._row_s * (turned @ steep.T - steep @ turned.T)
         return WaveProjected(
             frequency_hz=np.tile(f.frequency_hz, 2),
             lhs=on_lines("lhs")[:, 0],
@@ -211,6 +224,7 @@ class Products:
             resonance=on_lines("resonance"),
             terms={name: on_lines(name) for name in self._names},
             gram=np.kron(np.eye(2), gram),
+            slope_gram=np.block([[own, between], [between.T, own]]),
             turn_rad=self.turn_rad,
         )
 
@@ -228,16 +242,16 @@ class Products:
 
     def _derived(self, d: _Direction, x: ComplexArray) -> list[ComplexArray]:
         """L of signals of shape (n, k, 2), both axes summed: three of shape (n', k)."""
-        return [_thin(part.sum(axis=-1), self._width) for part in self._orders(d, x)]
+        return [thin(part.sum(axis=-1), self._width) for part in self._orders(d, x)]
 
     def _derived_by_axis(self, d: _Direction, x: ComplexArray) -> list[ComplexArray]:
         """L of x_b on axis a: three of shape (n', a, b)."""
         columns = [self._orders(d, np.repeat(x[:, b : b + 1], 2, axis=1)) for b in range(2)]
-        return [_thin(np.stack([c[k] for c in columns], axis=2), self._width) for k in range(3)]
+        return [thin(np.stack([c[k] for c in columns], axis=2), self._width) for k in range(3)]
 
     def _by_axis(self, m: FloatArray, x: ComplexArray) -> list[ComplexArray]:
         """m_a x_b, shape (n', a, b)."""
-        return [_thin(m[:, :, None] * x[:, None, :], self._width)]
+        return [thin(m[:, :, None] * x[:, None, :], self._width)]
 
 
 def _slow_waves(recording: Recording) -> tuple[FloatArray, FloatArray]:
@@ -250,7 +264,7 @@ def _slow_waves(recording: Recording) -> tuple[FloatArray, FloatArray]:
     return np.column_stack(columns), np.array(lines)
 
 
-def _derivatives(value: FloatArray, row_s: float) -> tuple[FloatArray, FloatArray]:
+def spectral_derivatives(value: FloatArray, row_s: float) -> tuple[FloatArray, FloatArray]:
     """First and second derivative of functions that vanish at both ends, in the sense of the sums that they enter.
 
     Spectral: then ``sum(phi' x) = -sum(phi x')`` holds for the samples as they are, however few of them the rise of a short window has;
@@ -269,7 +283,7 @@ def in_wave_frame(recording: Recording) -> bool:
     return recording.command.mode != "loops_off"
 
 
-def _directions(recording: Recording) -> tuple[tuple[_Direction, _Direction], FloatArray]:
+def frame_directions(recording: Recording) -> tuple[tuple[_Direction, _Direction], FloatArray]:
     """Frame of a recording, along and across the wave, or x and y with loops off; and the speed of its azimuth [rad/s]."""
     if in_wave_frame(recording):
         rows = round(_SMOOTH_S * recording.sample_rate_hz)

@@ -1,0 +1,134 @@
+"""Anonymous terms: what an effect that nobody has named looks like, by location, phase, symmetry and what it depends on.
+
+{dynamics, drive, output} x {in phase, in quadrature} x monomials that the symmetry of the two modes allows. A gap that they close and the
+registry does not is *something not in the catalogue*, and the term that closes most of it describes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .columns import form_columns
+from .evidence import CampaignEvidence
+from .forms import Form, Kind, Linear, Part, Setting, conjugate_product, low_pass
+from .screen import Candidate
+from .signals import Signals
+
+__all__ = ["Anonymous", "anonymous_candidates"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Monomial = Callable[[Signals, ComplexArray], ComplexArray]
+#: where a term enters, as it is told to people
+LOCATIONS: dict[Kind, str] = {"flow": "dynamics", "drive": "drive", "output": "pick-off"}
+
+
+@dataclass(frozen=True)
+class Anonymous:
+    """Description of a term.
+
+    Parameters
+    ----------
+    location : str
+        ``"dynamics"``, ``"drive"`` or ``"pick-off"``.
+    phase : str
+        ``"in phase"`` or ``"in quadrature"`` with what it grows from.
+    form : str
+        Monomial.
+    depends_on : str
+        What must vary for it to show.
+    """
+
+    location: str
+    phase: str
+    form: str
+    depends_on: str
+
+    @property
+    def name(self) -> str:
+        """One line."""
+        return f"{self.location}, {self.phase}: {self.form}"
+
+
+def _norm(x: ComplexArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.sum(np.abs(x) ** 2, axis=1))[:, None])
+
+
+def _axis(x: ComplexArray, axis: int) -> ComplexArray:
+    out = np.zeros_like(x)
+    out[:, axis] = x[:, axis]
+    return out
+
+
+def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
+    return lambda s, x: f(s)[:, None] * x
+
+
+#: monomials of a signal x by what they depend on; those of one entry are tried together
+_MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
+    ("|x| x", "amplitude"): [lambda s, x: _norm(x) * x],
+    ("|x|^2 x", "amplitude"): [lambda s, x: _norm(x) ** 2 * x, lambda s, x: conjugate_product(x)],
+    ("|x_j|^2 x_j", "amplitude"): [lambda s, x: _axis(np.abs(x) ** 2 * x, 0), lambda s, x: _axis(np.abs(x) ** 2 * x, 1)],
+    ("|x_k|^2 x_k on the other axis", "amplitude"): [
+        lambda s, x: _axis((np.abs(x) ** 2 * x)[:, ::-1], 0),
+        lambda s, x: _axis((np.abs(x) ** 2 * x)[:, ::-1], 1),
+    ],
+    ("|x|^4 x", "amplitude"): [lambda s, x: _norm(x) ** 4 * x],
+    ("x/|x|", "amplitude"): [lambda s, x: x / (_norm(x) + 1e-9)],
+    ("x*", "phase reference"): [lambda s, x: x.conj()],
+    ("T x", "temperature"): [_by(lambda s: s.temperature_k)],
+    ("T x, other on each axis", "temperature"): [
+        lambda s, x: s.temperature_k[:, None] * _axis(x, 0),
+        lambda s, x: s.temperature_k[:, None] * _axis(x, 1),
+    ],
+    ("T x, crossed", "temperature"): [
+        lambda s, x: s.temperature_k[:, None] * _axis(x[:, ::-1], 0),
+        lambda s, x: s.temperature_k[:, None] * _axis(x[:, ::-1], 1),
+    ],
+    ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
+    ("dT/dt x", "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
+    ("t x", "time"): [_by(lambda s: s.time_s)],
+    ("t x, other on each axis", "time"): [lambda s, x: s.time_s[:, None] * _axis(x, 0), lambda s, x: s.time_s[:, None] * _axis(x, 1)],
+    ("t x, crossed", "time"): [
+        lambda s, x: s.time_s[:, None] * _axis(x[:, ::-1], 0),
+        lambda s, x: s.time_s[:, None] * _axis(x[:, ::-1], 1),
+    ],
+    ("Omega x", "rate"): [_by(lambda s: s.rate_rad_s)],
+    ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
+    ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
+    ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],
+    ("x of 0.1 s before", "speed of change"): [lambda s, x: low_pass(s, x, 0.1)],
+    ("x of 1 s before", "speed of change"): [lambda s, x: low_pass(s, x, 1.0)],
+    ("x/(1 + i 10 Hz away)", "frequency"): [lambda s, x: x / (1.0 + 0.1j * (s.omega_rad_s - s.omega0_rad_s) / (2.0 * np.pi))[:, None]],
+    ("a constant", "reference"): [
+        lambda s, x: _axis(np.ones_like(x), 0) * float(s.recording.command.mode != "loops_off"),
+        lambda s, x: _axis(np.ones_like(x), 1) * float(s.recording.command.mode != "loops_off"),
+    ],
+}
+
+
+def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
+    """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
+    found = []
+    for kind, location in LOCATIONS.items():
+        for (text, depends), monomials in _MONOMIALS.items():
+            for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
+                form = _form(kind, monomials, factor)
+                columns = tuple(form_columns(evidence, form, linear, {}))
+                if not any(np.any(v) for c in columns for v in c.signal):
+                    continue
+                prior = np.full(len(columns), 0.1)
+                found.append((Anonymous(location, phase, text, depends), Candidate(f"{location} {text}", {}, columns, prior)))
+    return found
+
+
+def _form(kind: Kind, monomials: list[Monomial], factor: complex) -> Form:
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        x = s.drive if kind == "drive" else s.pick if kind == "output" else s.pick - s.drive @ d.E.T
+        return [Part(f"c_{k}", kind, factor * f(s, x)) for k, f in enumerate(monomials)]
+
+    return Form(parts)

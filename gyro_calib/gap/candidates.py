@@ -1,0 +1,67 @@
+"""The registry's effects as columns of one campaign, at every setting to try."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from ..effects import EFFECTS
+from .columns import form_columns
+from .evidence import CampaignEvidence
+from .forms import FORMS, Form, Linear, Setting
+from .screen import Candidate
+
+__all__ = ["candidates_of", "registry_name", "titles"]
+
+#: width of the prior of a parameter over its typical size in the registry
+_PRIOR_WIDTH = 10.0
+
+
+def registry_name(name: str, setting: Setting) -> str:
+    """Name in the registry of an effect at a setting: a variant may have one of its own."""
+    per_axis = FORMS[name].per_axis
+    return per_axis if per_axis and setting.get("axes") else name
+
+
+def titles() -> dict[str, str]:
+    """Titles of the effects that the diagnoser knows."""
+    return {name: EFFECTS[name].title for name in FORMS if name in EFFECTS}
+
+
+def candidates_of(
+    evidence: CampaignEvidence,
+    linear: Linear,
+    without: Iterable[str] = (),
+    on_progress: Callable[[float], None] | None = None,
+) -> dict[str, list[Candidate]]:
+    """Candidates by effect; those that no recording holds are left out.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    linear : Linear
+    without : iterable of str
+        Effects to leave out of the registry (blind trials).
+    on_progress : callable, optional
+        Called with the fraction done.
+    """
+    left_out = set(without)
+    names = [name for name in FORMS if name not in left_out and name in EFFECTS]
+    found: dict[str, list[Candidate]] = {}
+    for k, name in enumerate(names):
+        settings = FORMS[name].settings([r.signals for r in evidence])
+        candidates = [_candidate(evidence, name, FORMS[name], linear, setting, len(settings)) for setting in settings]
+        found[name] = [c for c in candidates if any(np.any(v) for column in c.columns for v in column.signal)]
+        if on_progress is not None:
+            on_progress((k + 1) / len(names))
+    return {name: candidates for name, candidates in found.items() if candidates}
+
+
+def _candidate(evidence: CampaignEvidence, name: str, form: Form, linear: Linear, setting: Setting, choices: int) -> Candidate:
+    columns = tuple(form_columns(evidence, form, linear, setting))
+    effect = EFFECTS[registry_name(name, setting)]
+    typical = {p.name: p.typical for p in effect.parameters}
+    # a share multiplies an effect whose size is its setting: it is one when that is right
+    prior = [_PRIOR_WIDTH * typical[c.name] if c.name in typical and c.name not in setting else 1.0 for c in columns]
+    return Candidate(name, setting, columns, np.array(prior), choices)

@@ -1,0 +1,244 @@
+"""Where a device differs from the simulation, which effect causes it, and how far the gap shrinks once that effect is added (gap.md)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from ..effects import EFFECTS
+from ..errors import DataError
+from ..quantity import Quantity
+from ..recording.recording import Campaign
+from ..units import DEG_H, PPM
+from .candidates import registry_name
+from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
+from .gap_map import gap_map
+from .heldout import Shrinkage, shrinkage
+from .model import CampaignModel, look_at
+from .next_experiment import next_experiment
+from .nuisance import linear_of
+from .preflight import check_campaign, usable
+from .screen import Screened
+from .select import Selection, select_effects
+from .standing import standings
+from .system import Solution
+
+__all__ = ["diagnose"]
+
+#: a healthy device is believed this often before any recording
+_NONE_BEFORE = 0.5
+
+
+def diagnose(
+    campaign: Campaign,
+    *,
+    without: Iterable[str] = (),
+    on_progress: Callable[[float, str], None] | None = None,
+) -> Diagnosis:
+    """Diagnose a campaign of force-rebalance or whole-angle recordings.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Recordings of one device; ``factory`` with ``angular_gain_kappa``, ``nominal_f0_hz`` and ``nominal_q``.
+    without : iterable of str
+        Effects that the registry shall not hold (blind trials).
+    on_progress : callable, optional
+        (fraction, what is done).
+
+    Raises
+    ------
+    DataError
+        Recordings that contradict their attributes or themselves: names the recording and the remedy.
+    """
+    begun = time.monotonic()
+    report = on_progress or (lambda fraction, text: None)
+    warnings = check_campaign(campaign)
+    recordings = usable(campaign)
+    kappa, f0, q = (_factory(campaign, name) for name in ("angular_gain_kappa", "nominal_f0_hz", "nominal_q"))
+    left_out = tuple(without)
+    model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
+    report(0.7, "selecting effects")
+    selection = select_effects(model)
+    chosen = [e.candidate for e in selection.effects]
+    rich = model.fitted(chosen) if chosen else model.base
+    report(0.88, "unseen experiments")
+    shrunk = shrinkage(model, chosen)
+    report(0.93, "what else could be seen")
+    lines = standings(model, selection, left_out)
+    effects = tuple(
+        _found(model, e, g, p, rich) for e, g, p in zip(selection.effects, selection.groups, selection.probabilities, strict=True)
+    )
+    unknown = _unknown(selection)
+    verdict = _verdict(effects, unknown, lines)
+    following = next_experiment(model, selection, lines)
+    report(1.0, "done")
+    none, something = _probabilities(selection)
+    return Diagnosis(
+        device_id=campaign.device_id,
+        verdict=verdict,
+        summary=_summary(verdict, effects, unknown, shrunk),
+        effects=effects if verdict != "unknown" else (),
+        unknown=unknown,
+        map=gap_map(model, model.base),
+        standings=lines,
+        gap=_gap(model, rich, shrunk),
+        not_testable=tuple(s.name for s in lines if s.status == "not testable"),
+        next_experiment=following,
+        chi2_before=selection.chi2_before,
+        chi2_after=selection.chi2_after,
+        dof=selection.dof,
+        probability_none=none,
+        probability_unknown=something,
+        recordings=len(recordings),
+        elapsed_s=time.monotonic() - begun,
+        warnings=tuple(warnings),
+        provenance={"registry": len(model.candidates), "left_out": list(left_out)},
+        estimate=_estimate(model, rich),
+    )
+
+
+def _estimate(model: CampaignModel, rich: Solution) -> PatchedEstimate:
+    values = rich.by_name()
+    linear = linear_of(model.evidence, values, model.linear.angular_gain)
+    evidence = model.evidence
+    return PatchedEstimate(
+        linear.A, linear.G, linear.E, evidence.omega0_rad_s, evidence.temperature_degc,
+        linear.frequency_slope_rad_s_k, linear.angular_gain, values,
+    )  # fmt: skip
+
+
+def _factory(campaign: Campaign, name: str) -> float:
+    value = campaign.factory.get(name)
+    if not isinstance(value, int | float) or not math.isfinite(value) or value <= 0.0:
+        raise DataError(f"Factory data must hold {name} > 0, but got {value!r}. Add it to the file's attribute `factory`.")
+    return float(value)
+
+
+def _found(model: CampaignModel, e: Screened, group: tuple[str, ...], probability: float, rich: Solution) -> FoundEffect:
+    name = registry_name(e.name, e.candidate.setting)
+    effect = EFFECTS[name]
+    units = {p.name: p.unit for p in effect.parameters}
+    parameters = {k: Quantity(v, sd, units.get(k, "1")) for k, (v, sd) in e.sizes().items() if k in units or k == "share"}
+    for key, value in e.candidate.setting.items():
+        if key in units:
+            parameters[key] = Quantity(value, _setting_sd(model, e, key), units[key])
+    return FoundEffect(
+        name=e.name,
+        title=EFFECTS[e.name].title,
+        group=group,
+        probability=probability,
+        parameters=parameters,
+        location=effect.location,
+        registry_name=name,
+        gain=e.gain,
+        harmless=_harmless(model, rich),
+    )
+
+
+def _setting_sd(model: CampaignModel, e: Screened, key: str) -> float:
+    """Half of the span of the settings of the grid that explain nearly as much."""
+    near = [
+        float(c.setting[key])
+        for c in model.candidates[e.name]
+        if (s := model.screener.screen(c)) is not None and s.log_evidence > e.log_evidence - 2.0
+    ]
+    grid = sorted({float(c.setting[key]) for c in model.candidates[e.name]})
+    step = float(np.median(np.diff(grid))) if len(grid) > 1 else 0.0
+    return max(0.5 * (max(near, default=0.0) - min(near, default=0.0)), 0.3 * step)
+
+
+def _harmless(model: CampaignModel, rich: Solution) -> bool:
+    """Whether neither the rate nor the scale factor of the linear fit moves by more than three of its standard deviations."""
+    return all(abs(shift) < 3.0 * sd for shift, sd in (_rate_shift(model, rich), _scale_shift(model, rich)))
+
+
+def _rate_shift(model: CampaignModel, rich: Solution) -> tuple[float, float]:
+    """By how much the effects move the rate that A says [rad/s], and its sd."""
+    names = [c.name for c in rich.columns]
+    values, before = rich.by_name(), model.base.by_name()
+    shift = 0.5 * sum(sign * (values[n] - before[n]) for n, sign in (("A_xy_re", 1.0), ("A_yx_re", -1.0)))
+    places = [names.index(n) for n in ("A_xy_re", "A_yx_re")]
+    weights = np.array([0.5, -0.5])
+    variance = float(weights @ rich.covariance[np.ix_(places, places)] @ weights)
+    kappa = model.linear.angular_gain
+    return shift / kappa, math.sqrt(variance) / kappa
+
+
+def _scale_shift(model: CampaignModel, rich: Solution) -> tuple[float, float]:
+    """Largest relative change of a drive's gain by the effects, and its sd."""
+    G, before = (linear_of(model.evidence, s.by_name(), model.linear.angular_gain).G for s in (rich, model.base))
+    names = [c.name for c in rich.columns]
+    found = []
+    for k, axis in enumerate("xy"):
+        place = names.index(f"G_{axis}{axis}_im")
+        sd = math.sqrt(max(float(rich.covariance[place, place]), 0.0)) / abs(G[k, k])
+        found.append((abs(G[k, k]) / abs(before[k, k]) - 1.0, sd))
+    return max(found, key=lambda pair: abs(pair[0]))
+
+
+def _unknown(selection: Selection) -> Unknown | None:
+    if selection.stranger is None:
+        return None
+    term = selection.stranger.term
+    return Unknown(term.location, term.phase, term.form, term.depends_on, selection.stranger.nearest, selection.stranger.screened.gain)
+
+
+def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:
+    if unknown is not None:
+        return "unknown"
+    if effects:
+        return "effects"
+    tested = sum(s.status in ("excluded", "cannot tell") for s in lines)
+    return "none" if tested >= len(lines) // 4 else "not_testable"
+
+
+def _probabilities(selection: Selection) -> tuple[float, float]:
+    """Of none, and of something unnamed."""
+    if selection.stranger is not None:
+        return 0.005, 0.9
+    if selection.effects:
+        return 1.0 - max(selection.probabilities), 0.02
+    best = max((s.log_evidence for s in selection.screened.values()), default=-10.0)
+    against = _NONE_BEFORE / (_NONE_BEFORE + (1.0 - _NONE_BEFORE) * math.exp(min(0.5 * (best - 4.0), 50.0)))
+    return float(min(against, 0.98)), 0.01
+
+
+def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:
+    rate_shift, rate_sd = _rate_shift(model, rich)
+    scale_shift, scale_sd = _scale_shift(model, rich)
+    before = math.hypot(shrunk.rate_before, 0.0)
+    return Gap(
+        rms_before=shrunk.rms_before,
+        rms_after=shrunk.rms_after,
+        closed_fraction=Quantity(shrunk.closed, shrunk.closed_sd if math.isfinite(shrunk.closed_sd) else 0.0, "1"),
+        bias_before=Quantity(max(before, abs(rate_shift)) / DEG_H, rate_sd / DEG_H, "deg/h"),
+        bias_after=Quantity(shrunk.rate_after / DEG_H, rate_sd / DEG_H, "deg/h"),
+        scale_before=Quantity(abs(scale_shift) / PPM, scale_sd / PPM, "ppm"),
+        scale_after=Quantity(0.0, scale_sd / PPM, "ppm"),
+        experiments=shrunk.labels,
+    )
+
+
+def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | None, shrunk: Shrinkage) -> str:
+    if verdict == "none":
+        return f"None: the linear device explains all {shrunk.dof} unseen figures to {shrunk.rms_before:.2f} of their noise."
+    if verdict == "not_testable":
+        return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
+    if unknown is not None:
+        return (
+            f"Something that is not in the catalogue, in the {unknown.location}, {unknown.phase}: grows as {unknown.form} "
+            f"(nearest known: {unknown.nearest or 'none'})."
+        )
+    words = []
+    for e in effects:
+        others = [name for name in e.group if name != e.name]
+        size = ", ".join(f"{k} = {q:.3g}" for k, q in e.parameters.items())
+        words.append(
+            f"{e.name} ({size}), or {'one of ' + ', '.join(others) + ', which these data cannot tell from it' if others else 'anything these data cannot tell from it'}"
+        )
+    closed = f"{100.0 * min(shrunk.closed, 1.0):.1f} %"
+    return f"Present: {'; and '.join(words)}. It closes {closed} of the gap on experiments that it was not found on."

@@ -1,0 +1,274 @@
+"""The verdict of a diagnosis, in the words and keys that people and programs read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..quantity import Quantity
+from .gap_map import Cell
+
+__all__ = ["SCHEMA", "Alternative", "Diagnosis", "FoundEffect", "Gap", "NextExperiment", "Standing", "Unknown"]
+
+#: version of the JSON
+SCHEMA = 1
+_MAP_CELLS = 60
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect that the recordings hold.
+
+    Parameters
+    ----------
+    name : str
+        Of the registry.
+    title : str
+        For people.
+    group : tuple of str
+        Itself and what these data cannot tell from it.
+    probability : float
+        Of the group.
+    parameters : mapping of str to Quantity
+        Sizes, and the setting of what is not linear.
+    location : str
+        dynamics, drive, pick-off, electronics, environment.
+    registry_name : str
+        Name of the variant in the registry (a patched device uses it).
+    gain : float
+        Chi-square that it takes away.
+    harmless : bool
+        Present, but below what it matters: its share of bias and scale factor is under their noise.
+    """
+
+    name: str
+    title: str
+    group: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, Quantity]
+    location: str
+    registry_name: str
+    gain: float
+    harmless: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of the contract, and more."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "group": list(self.group),
+            "probability": self.probability,
+            "parameters": {name: q.to_json() for name, q in self.parameters.items()},
+            "location": self.location,
+            "registry_name": self.registry_name,
+            "chi_square": self.gain,
+            "harmless": self.harmless,
+        }
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Something that is not in the catalogue.
+
+    Parameters
+    ----------
+    location, phase, form, depends_on : str
+        Of the anonymous term that closes most of what is left.
+    nearest : str
+        Effect of the registry that comes nearest.
+    gain : float
+        Chi-square that the term takes away.
+    """
+
+    location: str
+    phase: str
+    form: str
+    depends_on: str
+    nearest: str
+    gain: float
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One line of the ranked table: what the recordings say of an effect.
+
+    Parameters
+    ----------
+    name, title, location : str
+    status : str
+        ``present``, ``like <effect>``, ``excluded``, ``cannot tell``, ``not testable``.
+    excluded_above : Quantity or None
+        Size of its first parameter above which it would have been seen (power 90 %).
+    log_evidence, gain, absorbed : float
+    """
+
+    name: str
+    title: str
+    location: str
+    status: str
+    excluded_above: Quantity | None
+    log_evidence: float
+    gain: float
+    absorbed: float
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How far the gap shrinks, on experiments that sizes were not found on.
+
+    Parameters
+    ----------
+    rms_before, rms_after : float
+        Over the noise.
+    closed_fraction : Quantity
+    bias_before, bias_after : Quantity
+        Rate that the unseen experiments leave unexplained, root mean square [deg/h].
+    scale_before, scale_after : Quantity
+        By how much the missing effects bend the scale factor, and how well it is known with them [ppm].
+    experiments : tuple of str
+        Unseen experiments that improved most.
+    """
+
+    rms_before: float
+    rms_after: float
+    closed_fraction: Quantity
+    bias_before: Quantity
+    bias_after: Quantity
+    scale_before: Quantity
+    scale_after: Quantity
+    experiments: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of the contract."""
+        return {
+            "before": {"rms_over_noise": self.rms_before},
+            "after": {"rms_over_noise": self.rms_after},
+            "closed_fraction": self.closed_fraction.to_json(),
+            "bias": {"before": self.bias_before.to_json(), "after": self.bias_after.to_json()},
+            "scale_factor": {"before": self.scale_before.to_json(), "after": self.scale_after.to_json()},
+            "experiments": list(self.experiments),
+        }
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A candidate experiment and what it would tell."""
+
+    description: str
+    splits: tuple[str, ...]
+    power_per_second: float
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """What to record next.
+
+    Parameters
+    ----------
+    description : str
+        What to do.
+    purpose : str
+        What it decides.
+    splits : tuple of str
+        Effects that it tells apart, or makes testable.
+    alternatives : tuple of Alternative
+    """
+
+    description: str
+    purpose: str
+    splits: tuple[str, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+
+
+@dataclass(frozen=True)
+class PatchedEstimate:
+    """The linear device that the recordings say, with the effects taken into account.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+        Slow flow about ``omega0_rad_s`` at ``temperature_degc``, the constant input rate included in A.
+    omega0_rad_s, temperature_degc, frequency_slope_rad_s_k, angular_gain : float
+    values : mapping of str to float
+        Every unknown of the fit by name (temperature coefficients among them).
+    """
+
+    A: NDArray[np.complex128]
+    G: NDArray[np.complex128]
+    E: NDArray[np.complex128]
+    omega0_rad_s: float
+    temperature_degc: float
+    frequency_slope_rad_s_k: float
+    angular_gain: float
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that a diagnosis says; see :func:`.diagnose.diagnose`.
+
+    Parameters
+    ----------
+    device_id : str
+    verdict : str
+        ``none``, ``effects``, ``unknown`` or ``not_testable``.
+    summary : str
+        One sentence for people.
+    effects, unknown, map, standings, gap, not_testable, next_experiment, warnings
+        See the classes.
+    chi2, dof : tuple
+        Before and after the effects, all experiments.
+    probability_none, probability_unknown : float
+    recordings, elapsed_s : int, float
+    estimate : PatchedEstimate or None
+        The linear device beside the effects: what a patched device file is made of.
+    """
+
+    device_id: str
+    verdict: str
+    summary: str
+    effects: tuple[FoundEffect, ...]
+    unknown: Unknown | None
+    map: tuple[Cell, ...]
+    standings: tuple[Standing, ...]
+    gap: Gap
+    not_testable: tuple[str, ...]
+    next_experiment: NextExperiment
+    chi2_before: float
+    chi2_after: float
+    dof: int
+    probability_none: float
+    probability_unknown: float
+    recordings: int
+    elapsed_s: float
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    estimate: PatchedEstimate | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of the contract (issue: diagnose the gap), and more; plain types."""
+        return {
+            "schema": SCHEMA,
+            "device_id": self.device_id,
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "effects": [e.to_json() for e in self.effects],
+            "unknown": None if self.unknown is None else asdict(self.unknown),
+            "probability": {"none": self.probability_none, "unknown": self.probability_unknown},
+            "map": [asdict(cell) for cell in self.map[:_MAP_CELLS]],
+            "standings": [
+                {**asdict(s), "excluded_above": None if s.excluded_above is None else s.excluded_above.to_json()} for s in self.standings
+            ],
+            "gap": self.gap.to_json(),
+            "not_testable": list(self.not_testable),
+            "next_experiment": asdict(self.next_experiment),
+            "chi_square": {"before": self.chi2_before, "after": self.chi2_after, "dof": self.dof},
+            "recordings": self.recordings,
+            "elapsed_s": self.elapsed_s,
+            "warnings": list(self.warnings),
+            "provenance": dict(self.provenance),
+        }

@@ -1,0 +1,150 @@
+"""A campaign as linear equations: every recording projected on test functions, in the frame of its wave, in units that noise can be given to.
+
+The slow flow stays exact and linear in (A, G~, E) (:mod:`..estimation.projection`), whatever controlled the device: loops, latencies and set
+points drop out, because what acted stands in the drive columns. So the same equations serve force-rebalance and whole-angle recordings of
+any maker's device, and what they leave over is the gap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimation.wave import wave_coordinates
+from ..estimation.wave_lines import role_of
+from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame
+from ..recording.recording import Recording
+from .lines import lines_of
+from .signals import Projector, Signals
+
+__all__ = ["CHANNELS", "CampaignEvidence", "RecordingEvidence"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: of a wave: along it (real: amplitude, imaginary: frequency), then across it
+CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
+#: rows per second after thinning
+THIN_HZ = 100.0
+#: temperature span of a recording from which on its temperature moved [K]
+WARMING_K = 0.3
+
+
+@dataclass(frozen=True)
+class RecordingEvidence:
+    """The equations of one recording.
+
+    Parameters
+    ----------
+    index : int
+        Place in the campaign.
+    recording : Recording
+    signals : Signals
+    signal, quiet : WaveProjected
+        Base equations on the lines of interest, and where only noise is expected.
+    signal_forms, quiet_forms : Projector
+        Project the forms of effects on the same lines.
+    turn : complex
+        Unit number that turns the equations by the phase of the wave against the reference.
+    """
+
+    index: int
+    recording: Recording
+    signals: Signals
+    signal: WaveProjected
+    quiet: WaveProjected
+    signal_forms: Projector
+    quiet_forms: Projector
+    turn: complex
+
+    @property
+    def role(self) -> str:
+        """Recordings of one role share their noise."""
+        role = role_of(self.recording)
+        return f"{role}, warming" if self.is_warming else role
+
+    @property
+    def parent_role(self) -> str:
+        """Role of the plain records of this one's mode."""
+        mode = self.recording.command.mode
+        if mode == "loops_off":
+            return self.role
+        return mode if self.recording.command.oscillator_axis else "precession"
+
+    @property
+    def is_warming(self) -> bool:
+        """Whether the temperature moved: its sensor's noise and lag are then in the frequency."""
+        return bool(np.ptp(self.signals.temperature_k) > WARMING_K)
+
+    @property
+    def is_wave(self) -> bool:
+        """Whether there is a wave (loops closed); otherwise the frame is that of the axes."""
+        return in_wave_frame(self.recording)
+
+
+@dataclass(frozen=True)
+class CampaignEvidence:
+    """All recordings.
+
+    Parameters
+    ----------
+    recordings : tuple of RecordingEvidence
+    omega0_rad_s : float
+        Frequency about which A and G are written.
+    decay_rate : float
+        Rough 1/tau [1/s].
+    temperature_degc : float
+        What temperatures are counted from.
+    """
+
+    recordings: tuple[RecordingEvidence, ...]
+    omega0_rad_s: float
+    decay_rate: float
+    temperature_degc: float
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], decay_rate: float) -> CampaignEvidence:
+        """Project recordings."""
+        closed = [r for r in recordings if in_wave_frame(r)]
+        temperature = float(np.median([np.median(r.temperature_degc) for r in recordings]))
+        omega0 = float(np.median([np.median(r.ref_omega_rad_s) for r in closed]))
+        start = min(float(r.t[0]) for r in recordings)
+        found = [_evidence(i, r, omega0, decay_rate, temperature, start) for i, r in enumerate(recordings)]
+        return cls(tuple(found), omega0, decay_rate, temperature)
+
+    def __iter__(self):  # type: ignore[no-untyped-def]
+        return iter(self.recordings)
+
+    def __len__(self) -> int:
+        return len(self.recordings)
+
+
+def _evidence(index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float) -> RecordingEvidence:
+    width = max(1, round(recording.sample_rate_hz / THIN_HZ))
+    signals = Signals(recording, omega0, decay_rate, width, temperature, start)
+    rise = recording.temperature_degc - temperature
+    products = Products(
+        recording,
+        omega0,
+        decay_rate,
+        plain={
+            "warm": lambda V, u, rate: (rise[:, None] * V)[:, None, :],
+            "warm2": lambda V, u, rate: ((rise**2)[:, None] * V)[:, None, :],
+        },
+        derived={},
+    )
+    lines = lines_of(recording, products.speed_rad_s)
+    phase = 1.0 + 0j
+    if in_wave_frame(recording):
+        wave = wave_coordinates(recording)
+        weight = wave.amplitude_v**2
+        mean = complex(np.sum(weight * np.exp(1j * wave.phase_rad)))
+        phase = mean.conjugate() / abs(mean) if abs(mean) > 0.1 * math.fsum(weight) else 1.0 + 0j
+    return RecordingEvidence(
+        index, recording, signals,
+        products.project(lines.signal), products.project(lines.quiet),
+        signals.projector(lines.signal), signals.projector(lines.quiet), phase,
+    )  # fmt: skip

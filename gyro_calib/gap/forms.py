@@ -1,0 +1,316 @@
+"""Envelope forms of the effects: what each adds to the slow flow, to the drive or to the pick-off, for one unit of each of its parameters.
+
+First order of averaging, written for pick-off volts V, motion p = V - E u and drive volts u (shape (n, 2), x and y); the registry
+(:mod:`..effects`) names the same effects and parameters, and the simulator applies them to the carrier, which checks these forms. A form is
+linear in its parameters. What is not (a level, a time constant, a frequency) is laid out on a grid (:data:`GRIDS`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from .signals import Signals
+
+__all__ = ["FORMS", "Form", "Linear", "Part", "Setting", "conjugate_product", "cube"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
+Kind = Literal["flow", "drive", "output"]
+_LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008])
+_DEAD = np.geomspace(1e-4, 0.4, 14)
+#: values of the parameters that are not linear
+Setting = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """What the forms need to know of the linear device.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+    angular_gain : float
+        kappa as the factory states it.
+    frequency_slope_rad_s_k : float
+        Change of the resonance with temperature.
+    """
+
+    A: ComplexArray
+    G: ComplexArray
+    E: ComplexArray
+    angular_gain: float
+    frequency_slope_rad_s_k: float
+
+    def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
+        """A x, with A at each row's temperature and applied rate, shape (n, 2)."""
+        turning = self.angular_gain * s.rate_rad_s[:, None] * _turned(x)
+        return np.asarray(x @ self.A.T + 1j * self.frequency_slope_rad_s_k * s.temperature_k[:, None] * x - turning)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Signal (n, 2) that one unit of a parameter adds, and where."""
+
+    parameter: str
+    kind: Kind
+    signal: ComplexArray
+
+
+@dataclass(frozen=True)
+class Form:
+    """Envelope form of an effect.
+
+    Parameters
+    ----------
+    parts : callable
+        (signals, linear device, setting) -> parts.
+    settings : callable
+        (all signals) -> settings to try (one empty setting where the effect is linear in all its parameters).
+    per_axis : str or None
+        Name in the registry of the variant whose setting has ``axes`` = 1.
+    """
+
+    parts: Callable[[Signals, Linear, Setting], list[Part]]
+    settings: Callable[[list[Signals]], list[Setting]] = lambda signals: [{}]
+    per_axis: str | None = None
+
+
+def cube(x: ComplexArray) -> ComplexArray:
+    """|x_j|^2 x_j of each axis."""
+    return np.asarray(np.abs(x) ** 2 * x)
+
+
+def _square(x: ComplexArray) -> FloatArray:
+    """|x|^2 of both axes, shape (n, 1)."""
+    return np.asarray(np.sum(np.abs(x) ** 2, axis=1)[:, None])
+
+
+def conjugate_product(x: ComplexArray) -> ComplexArray:
+    """(x . x) x*: what a conservative isotropic cubic force has beside |x|^2 x."""
+    return np.asarray(np.sum(x * x, axis=1)[:, None] * x.conj())
+
+
+def _isotropic_cubic(x: ComplexArray) -> ComplexArray:
+    return (2.0 * _square(x) * x + conjugate_product(x)) / 3.0
+
+
+def _quadratic(p: ComplexArray) -> ComplexArray:
+    """Fundamental of |v| v: the quadrature of an elliptic wave is damped half as much as its amplitude."""
+    size = np.sqrt(_square(p)) + 1e-9
+    return (3.0 * size * p + conjugate_product(p) / size) / 4.0
+
+
+def _dry(p: ComplexArray) -> ComplexArray:
+    """Fundamental of v/|v|: along the wave its direction, across it ``ln(4 a/q) - 1`` times the quadrature over the amplitude."""
+    size = np.sqrt(_square(p)) + 1e-9
+    turned = conjugate_product(p) / size**2
+    along, across = 0.5 * (p + turned), 0.5 * (p - turned)
+    widths = [np.sqrt(_square(x)) + 1e-9 * size for x in (along, across)]
+    return (along + (np.log(4.0 * widths[0] / widths[1]) - 1.0) * across) / size
+
+
+def _motion(s: Signals, d: Linear) -> ComplexArray:
+    return np.asarray(s.pick - s.drive @ d.E.T)
+
+
+def _only(x: ComplexArray, axis: int) -> ComplexArray:
+    out = np.zeros_like(x)
+    out[:, axis] = x[:, axis]
+    return out
+
+
+def _swapped(x: ComplexArray) -> ComplexArray:
+    return np.asarray(x[:, ::-1])
+
+
+def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
+    return [Part(f"{letter}_{name}", kind, _only(x, axis)) for axis, name in enumerate("xy")]
+
+
+def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
+    crossed = _swapped(x)
+    return [Part(f"{letter}_c", "flow", factor * x * np.array([1.0, -1.0])), Part(f"{letter}_s", "flow", factor * crossed)]
+
+
+def _turned(x: ComplexArray) -> ComplexArray:
+    """J x."""
+    return np.stack([-x[:, 1], x[:, 0]], axis=1)
+
+
+def _lag(s: Signals, x: ComplexArray) -> ComplexArray:
+    return np.asarray(-np.gradient(x, s.row_s, axis=0))
+
+
+def low_pass(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
+    """First-order low pass of an envelope, begun at its mean over the first time constant."""
+    share = 1.0 - np.exp(-s.row_s / tau_s)
+    start = x[: max(1, min(len(x), round(tau_s / s.row_s)))].mean(axis=0)
+    out, _ = lfilter([share], [1.0, share - 1.0], x, axis=0, zi=(1.0 - share) * start[None, :])
+    return np.asarray(out)
+
+
+def _clipped(x: ComplexArray, level: float) -> ComplexArray:
+    """Fundamental of a clipped sine less the sine: describing function of a limiter."""
+    r = np.minimum(level / np.maximum(np.abs(x), 1e-300), 1.0)
+    return np.asarray(x * (2.0 / np.pi * (np.arcsin(r) + r * np.sqrt(1.0 - r**2)) - 1.0))
+
+
+def _dead(x: ComplexArray, level: float) -> ComplexArray:
+    """Fundamental behind a dead zone less the sine: a dead zone passes what a limiter takes away."""
+    return np.asarray(-(x + _clipped(x, level)))
+
+
+def _levels(of: Literal["pick", "drive"], shares: FloatArray) -> Callable[[list[Signals]], list[Setting]]:
+    """Levels that are shares of the largest amplitude of any axis."""
+
+    def settings(signals: list[Signals]) -> list[Setting]:
+        peak = max(float(np.quantile(np.abs(getattr(s, of)), 0.99)) for s in signals)
+        return [{"level": float(level)} for level in peak * shares]
+
+    return settings
+
+
+def _times(low: float, high: float, count: int) -> Callable[[list[Signals]], list[Setting]]:
+    return lambda signals: [{"tau": float(tau)} for tau in np.geomspace(low, high, count)]
+
+
+def _campaign_times(signals: list[Signals]) -> list[Setting]:
+    span = max(float(s.time_s[-1]) for s in signals)
+    return [{"tau": float(tau)} for tau in span * np.array([0.05, 0.15, 0.4, 1.0])]
+
+
+def _modes(signals: list[Signals]) -> list[Setting]:
+    distances = np.array([4.0, 8.0, 14.0, 18.0, 22.0, 30.0, 45.0, 56.0, 64.0, 90.0, 150.0])
+    return [{"separation_hz": float(f), "half_width_hz": w} for f in (*-distances, *distances) for w in (0.5, 3.0)]
+
+
+def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    away = setting["separation_hz"] - (s.omega_rad_s - s.omega0_rad_s) / (2.0 * np.pi)
+    response = 1.0 / (2.0 * np.pi * (setting["half_width_hz"] - 1j * away))
+    driven = (response * s.drive.sum(axis=1))[:, None] * np.ones((1, 2))
+    return _by_axis("output", "gain", driven)
+
+
+def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    slope = np.gradient(s.temperature_k, s.row_s)[:, None]
+    return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
+
+
+def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
+    p = _motion(s, d)
+    return [Part("k_0", "flow", 1j * rise * p), *_anisotropy("k", p, 1j * rise)]
+
+
+def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], list[Part]]:
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        closed = 0.0 if s.recording.command.mode == "loops_off" else 1.0
+        one = np.full((len(s.time_s), 2), closed, dtype=complex)
+        return [Part(f"{letter}_{n}{q}", kind, f * _only(one, a)) for a, n in enumerate("xy") for q, f in (("c", 1.0), ("s", 1j))]
+
+    return parts
+
+
+def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: complex) -> Form:
+    return Form(lambda s, d, g: [Part(parameter, "flow", factor * f(_motion(s, d)))])
+
+
+def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
+    """A cubic force, isotropic or along each axis: one effect in two variants, of which the second has a name of its own in the registry."""
+
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        p = _motion(s, d)
+        if setting["axes"]:
+            return _by_axis("flow", letter, factor * cube(p))
+        return [Part(letter, "flow", factor * _isotropic_cubic(p))]
+
+    return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
+
+
+def _environment(parameter: str, x: Callable[[Signals], FloatArray], factor: complex) -> Form:
+    return Form(lambda s, d, g: [Part(parameter, "flow", factor * x(s)[:, None] * _motion(s, d))])
+
+
+def _warm(s: Signals) -> FloatArray:
+    return s.temperature_k
+
+
+def _late(s: Signals) -> FloatArray:
+    return s.time_s
+
+
+def _scaled(kind: Kind, letter: str, of: Literal["pick", "drive"], x: Callable[[Signals], FloatArray], factor: complex) -> Form:
+    return Form(lambda s, d, g: _by_axis(kind, letter, factor * x(s)[:, None] * getattr(s, of)))
+
+
+def _static(kind: Kind, letter: str, of: Literal["pick", "drive"], factor: complex) -> Form:
+    return Form(lambda s, d, g: _by_axis(kind, letter, factor * cube(getattr(s, of))))
+
+
+def _rate(s: Signals) -> FloatArray:
+    return s.rate_rad_s
+
+
+FORMS: dict[str, Form] = {
+    # dynamics
+    "duffing": _cubic("k", 1j, "duffing_axes"),
+    "cubic_cross_stiffness": _flow("k", lambda p: _swapped(cube(p)), 1j),
+    "nonlinear_damping": _cubic("c", -1.0, "nonlinear_damping_axes"),
+    "quadratic_damping": _flow("c", _quadratic, -1.0),
+    "coulomb_friction": _flow("c", _dry, -1.0),
+    "spurious_mode": Form(_mode, _modes),
+    "relaxation": Form(
+        lambda s, d, g: [Part("c", "flow", 1j * (low_pass(s, _motion(s, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
+    ),
+    "parametric_pump": Form(lambda s, d, g: [Part(f"h_{n}", "flow", f * _motion(s, d).conj()) for n, f in (("c", 1.0), ("s", 1j))]),
+    "constant_force": Form(_constant("drive", "f")),
+    # drive
+    "drive_nonlinearity": _static("drive", "d", "drive", 1.0),
+    "drive_amplitude_phase": _static("drive", "d", "drive", 1j),
+    "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
+    "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
+    "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", _clipped(s.drive, g["level"]))], _levels("drive", _LIMITS)),
+    "drive_dead_zone": Form(lambda s, d, g: [Part("share", "drive", _dead(s.drive, g["level"]))], _levels("drive", _DEAD)),
+    "drive_lag": Form(lambda s, d, g: [Part("tau", "drive", _lag(s, s.drive))]),
+    "drive_memory": Form(lambda s, d, g: [Part("share", "drive", low_pass(s, s.drive, g["tau"]))], _times(0.05, 5.0, 5)),
+    # pick-off
+    "pickoff_nonlinearity": _static("output", "c", "pick", 1.0),
+    "pickoff_amplitude_phase": _static("output", "c", "pick", 1j),
+    "pickoff_cross_nonlinearity": Form(lambda s, d, g: [Part("c", "output", _swapped(cube(s.pick)))]),
+    "pickoff_saturation": Form(lambda s, d, g: [Part("share", "output", _clipped(s.pick, g["level"]))], _levels("pick", _LIMITS)),
+    "pickoff_lag": Form(lambda s, d, g: [Part("tau", "output", _lag(s, s.pick))]),
+    "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", low_pass(s, s.pick, g["tau"]))], _times(0.05, 5.0, 5)),
+    "pickoff_interference": Form(_constant("output", "v")),
+    "channel_skew": Form(lambda s, d, g: [Part("tau", "output", _only(_lag(s, s.pick), 1))]),
+    # environment
+    "thermal_damping": _environment("c", _warm, -1.0),
+    "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _motion(s, d), -1.0)),
+    "thermal_frequency_curvature": _environment("k", lambda s: s.temperature_k**2, 1j),
+    "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
+    "thermal_lag": Form(_thermal_lag),
+    "thermal_drive_gain": _scaled("drive", "g", "drive", _warm, 1.0),
+    "thermal_drive_phase": _scaled("drive", "g", "drive", _warm, 1j),
+    "thermal_pickoff_gain": _scaled("output", "g", "pick", _warm, 1.0),
+    "thermal_pickoff_phase": _scaled("output", "g", "pick", _warm, 1j),
+    "thermal_feedthrough": _scaled("output", "e", "drive", _warm, 1.0),
+    "frequency_ageing": _environment("k", _late, 1j),
+    "damping_drift": _environment("c", _late, -1.0),
+    "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * _motion(s, d), 1j)),
+    "charge_accumulation": Form(_charge, _campaign_times),
+    "drive_gain_drift": _scaled("drive", "g", "drive", _late, 1.0),
+    "drive_phase_drift": _scaled("drive", "g", "drive", _late, 1j),
+    "pickoff_gain_drift": _scaled("output", "g", "pick", _late, 1.0),
+    "centrifugal_stiffness": _environment("k", lambda s: s.rate_rad_s**2, 1j),
+    "rate_dependent_damping": _environment("c", _rate, -1.0),
+    "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * _turned(_motion(s, d)))]),
+    "rate_nonlinearity": Form(
+        lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * _turned(_motion(s, d)))]
+    ),
+}

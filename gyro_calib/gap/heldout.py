@@ -1,0 +1,167 @@
+"""How far the gap shrinks on experiments that the effect's size was not found on.
+
+The recordings are halved by experiment, each half predicted from the other. For a linear model with Gaussian noise the chi-square of one
+half given the other is chi-square(both) - chi-square(other), nuisances and their priors included: no direction that only the held-out half
+can tell (its own resonance shifts, a temperature that only it visited) counts as misfit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .columns import Column
+from .model import CampaignModel, effect_columns
+from .screen import Candidate, Screener
+from .system import Whitener, solve
+
+__all__ = ["Shrinkage", "halves", "shrinkage"]
+
+
+@dataclass(frozen=True)
+class Shrinkage:
+    """Gap on unseen experiments.
+
+    Parameters
+    ----------
+    before, after : float
+        Chi-square of unseen experiments without and with the effects, over their degrees of freedom.
+    dof : int
+    closed, closed_sd : float
+        1 - (chi2_after - dof)/(chi2_before - dof), and its standard deviation.
+    labels : tuple of str
+        Experiments that were held out and hold a gap.
+    rate_before, rate_after : float
+        Rate that their means leave unexplained, root mean square [rad/s].
+    """
+
+    before: float
+    after: float
+    dof: int
+    closed: float
+    closed_sd: float
+    labels: tuple[str, ...]
+    rate_before: float = 0.0
+    rate_after: float = 0.0
+
+    @property
+    def rms_before(self) -> float:
+        """Root mean square over the noise."""
+        return math.sqrt(max(self.before, 0.0))
+
+    @property
+    def rms_after(self) -> float:
+        """Root mean square over the noise."""
+        return math.sqrt(max(self.after, 0.0))
+
+
+def halves(model: CampaignModel) -> tuple[list[int], list[int]]:
+    """Two halves of the recordings, every role and amplitude in both as far as it was recorded twice."""
+    alike: dict[tuple[str, float], list[int]] = defaultdict(list)
+    for k, r in enumerate(model.evidence):
+        alike[r.role, round(r.recording.command.setpoints.amplitude_v, 6)].append(k)
+    sides: tuple[list[int], list[int]] = ([], [])
+    turn = 0
+    for members in alike.values():
+        for k in members:
+            sides[turn % 2].append(k)
+            turn += 1
+    return sorted(sides[0]), sorted(sides[1])
+
+
+def shrinkage(model: CampaignModel, chosen: Sequence[Candidate]) -> Shrinkage:
+    """Predict each half from the other, without and with the effects."""
+    whole = _Part(model, range(len(model.evidence)))
+    before = after = 0.0
+    dof = 0
+    gains: list[_Unseen] = []
+    for train in halves(model):
+        part = _Part(model, train)
+        sizes = part.sizes(chosen)
+        plain_whole, plain_part = whole.chi2(chosen, None), part.chi2(chosen, None)
+        rich_whole, rich_part = whole.chi2(chosen, sizes), part.chi2(chosen, sizes)
+        before += plain_whole[0] - plain_part[0]
+        after += rich_whole[0] - rich_part[0]
+        dof += plain_whole[1] - plain_part[1]
+        gains += whole.improved(chosen, sizes, train)
+    gap = before - dof
+    closed = 1.0 - (after - dof) / gap if gap > 0.0 else 0.0
+    sd = math.sqrt(2.0 * dof + 4.0 * max(after - dof, 0.0)) / gap if gap > 0.0 else math.inf
+    labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)
+    rates = [
+        math.sqrt(float(np.mean([rate**2 for rate in side]))) if side else 0.0
+        for side in ([u.before for u in gains if u.has_rate], [u.after for u in gains if u.has_rate])
+    ]
+    return Shrinkage(before / max(dof, 1), after / max(dof, 1), dof, closed, sd, labels, rates[0], rates[1])
+
+
+@dataclass(frozen=True)
+class _Unseen:
+    """What the effects do for an unseen recording: chi-square, and the rate that its mean leaves unexplained [rad/s]."""
+
+    label: str
+    gain: float
+    before: float
+    after: float
+    has_rate: bool
+
+
+class _Part:
+    """Some recordings of a campaign with its nuisances."""
+
+    def __init__(self, model: CampaignModel, indices: Sequence[int]) -> None:
+        self.model, self.indices = model, list(indices)
+        self.whitener = Whitener(tuple(model.whitener.factors[k] for k in self.indices))
+        self.nuisances = [self._kept(c) for c in model.nuisances]
+        self.target = [model.target[k] for k in self.indices]
+
+    def _kept(self, c: Column) -> Column:
+        return Column(c.name, tuple(c.signal[k] for k in self.indices), (), c.prior_sd)
+
+    def sizes(self, chosen: Sequence[Candidate]) -> np.ndarray:
+        """Sizes of the effects as these recordings say."""
+        columns = [*self.nuisances, *(self._kept(c) for c in effect_columns(chosen))]
+        solution = solve(columns, self.whitener.design(columns, len(self.indices)), self.whitener.rows(self.target))
+        return solution.values[len(self.nuisances) :]
+
+    def _less(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> list[np.ndarray]:
+        if sizes is None:
+            return self.target
+        columns = effect_columns(chosen)
+        return [
+            t - sum(size * c.signal[k] for size, c in zip(sizes, columns, strict=True))
+            for k, t in zip(self.indices, self.target, strict=True)
+        ]
+
+    def chi2(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> tuple[float, int]:
+        """Chi-square of the nuisances' fit with the effects at given sizes, and its degrees of freedom."""
+        screener = Screener(self.whitener, self.nuisances, self._less(chosen, sizes))
+        return screener.chi2, screener.dof
+
+    def improved(self, chosen: Sequence[Candidate], sizes: np.ndarray, train: Sequence[int]) -> list[_Unseen]:
+        """What the effects, of a size that others told, do for each unseen recording."""
+        plain = Screener(self.whitener, self.nuisances, self.target).left
+        rich = Screener(self.whitener, self.nuisances, self._less(chosen, sizes)).left
+        out, first = [], 0
+        for k, r in enumerate(self.model.evidence):
+            rows = slice(first, first + 2 * r.signal.lhs.size)
+            first += 2 * r.signal.lhs.size
+            if k in train:
+                continue
+            before, after = (self._rate(k, left[rows]) for left in (plain, rich))
+            gain = float(plain[rows] @ plain[rows] - rich[rows] @ rich[rows])
+            steady = r.is_wave and not r.is_warming and "applied_rate" not in r.recording.extras
+            out.append(_Unseen(r.recording.label, gain, before, after, steady))
+        return out
+
+    def _rate(self, k: int, left: np.ndarray) -> float:
+        """Rate that would explain the residual of a recording's mean across the wave."""
+        r = self.model.evidence.recordings[k]
+        size = r.signal.lhs.size
+        across = float((self.whitener.factors[k][0] @ left[:size])[size // 2])
+        amplitude = float(np.sqrt(np.mean(np.sum(np.abs(r.signals.pick) ** 2, axis=1))))
+        return across / (self.model.linear.angular_gain * max(amplitude, 1e-9) * math.sqrt(r.recording.duration_s))

@@ -1,0 +1,209 @@
+"""What any healthy device has and no one calls a gap: the linear slow flow, its resonance's wander, its known dependence on temperature.
+
+Nuisances that physics bounds (temperature coefficients, the lag of a record, a feedthrough that follows frequency) have priors of that size:
+an effect of the same form shows only where it is larger than a healthy device has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimation.wave_projection import WaveProjected
+from .columns import QUIET, SIGNAL, Column, form_columns
+from .evidence import CampaignEvidence, RecordingEvidence
+from .forms import FORMS, Linear
+
+__all__ = ["frequency_columns", "linear_columns", "linear_of", "quiet_target_of", "target_of", "thermal_columns", "wander_columns"]
+
+ComplexArray = NDArray[np.complex128]
+
+#: temperature coefficients of healthy devices, sd [1/K]: gains, their differences and phases; damping relative; all small against 1
+_GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 5e-3
+#: relative curvature of the damping [1/K^2], of the frequency [1/K^2]
+_DAMPING_PER_K2, _FREQUENCY_PER_K2 = 3e-5, 1e-8
+#: a record that is late by some samples of the converters [s]; a rate table's clock [s]
+_LAG_S, _TABLE_CLOCK_S = 3e-5, 1e-3
+#: change of E over a relative distance of one from resonance; reaction of the diagonal of A to rate over kappa
+_DISPERSION, _SKEWED_RATE = 5e-3, 0.05
+#: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
+_KAPPA = 3e-4
+#: how late a temperature sensor is [s]
+_SENSOR_LAG_S = 0.03
+_TURNED_RAD = np.pi
+_TEMPERATURE_SPAN_K = 0.5
+
+
+def _collected(
+    name: str,
+    evidence: CampaignEvidence,
+    f: Callable[[RecordingEvidence, WaveProjected], ComplexArray],
+    prior_sd: float = np.inf,
+    *,
+    real: bool = False,
+) -> list[Column]:
+    """A complex unknown as two real ones (or its real part alone); nothing when no recording holds it."""
+    signal = [r.turn * f(r, r.signal) for r in evidence]
+    quiet = [r.turn * f(r, r.quiet) for r in evidence]
+    if not any(np.any(v) for v in signal):
+        return []
+    columns = [Column(name if real else f"{name}_re", tuple(signal), tuple(quiet), prior_sd)]
+    if not real:
+        columns.append(Column(f"{name}_im", tuple(1j * v for v in signal), tuple(1j * v for v in quiet), prior_sd))
+    return columns
+
+
+def linear_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list[Column]:
+    """A, G~, E, body, response to rate, force that does not follow the wave.
+
+    With ``rate_known`` the target already lacks the response to rate of the factory's kappa (:func:`target_of`), and what is sought is how
+    far the unit is from it; otherwise all of it.
+    """
+    columns: list[Column] = []
+    bodies = sorted({_body(r) for r in evidence if _body(r) > 0.0})
+    turned = any("applied_rate" in r.recording.extras for r in evidence)
+    open_drive = {round(_open(r), 3) for r in evidence if _open(r) > 0.0}
+    for a in range(2):
+        for b in range(2):
+            place = f"{'xy'[a]}{'xy'[b]}"
+            columns += _collected(f"A_{place}", evidence, lambda r, p, a=a, b=b: p.pick[:, a, b])
+            columns += _collected(f"G_{place}", evidence, lambda r, p, a=a, b=b: p.drive[:, a, b])
+            if open_drive:
+                columns += _collected(f"E_{place}", evidence, lambda r, p, a=a, b=b: p.drive_rate[:, a, b])
+            if len(open_drive) > 1:
+                columns += _collected(
+                    f"dispersion_{place}",
+                    evidence,
+                    lambda r, p, a=a, b=b: _away(r, evidence.omega0_rad_s) * p.drive_rate[:, a, b],
+                    _DISPERSION,
+                )
+            if turned:
+                columns += _collected(f"table_{place}", evidence, lambda r, p, a=a, b=b: p.jerk[:, a, b], _TABLE_CLOCK_S)
+        for f in bodies:
+            columns += _collected(f"body_{'xy'[a]}_{f:.0f}", evidence, lambda r, p, a=a, f=f: (_body(r) == f) * p.body[:, a])
+        if any(r.signal.turn_rad > _TURNED_RAD for r in evidence):
+            columns += _collected(f"force_{'xy'[a]}", evidence, lambda r, p, a=a: float(r.is_wave) * p.constant[:, a])
+    return columns + (_rate_columns(evidence, rate_known) if turned else [])
+
+
+def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
+    """Response of A to rate: its antisymmetric part is kappa, the rest is the pick-offs' mismatch and non-orthogonality."""
+    columns = _collected("rate_anti", evidence, lambda r, p: p.rate_pick[:, 0, 1] - p.rate_pick[:, 1, 0], _KAPPA if known else np.inf)
+    for name, f in (
+        ("rate_mismatch", lambda r, p: p.rate_pick[:, 0, 1] + p.rate_pick[:, 1, 0]),
+        ("rate_sum", lambda r, p: p.rate_pick[:, 0, 0] + p.rate_pick[:, 1, 1]),
+        ("rate_skew", lambda r, p: p.rate_pick[:, 0, 0] - p.rate_pick[:, 1, 1]),
+    ):
+        columns += _collected(name, evidence, f, _SKEWED_RATE)
+    return columns
+
+
+def target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
+    """Left-hand sides by recording, turned by the wave's phase, less the response to the applied rate, ``-kappa Omega J V``."""
+    return [r.turn * (r.signal.lhs - angular_gain * (r.signal.rate_pick[:, 0, 1] - r.signal.rate_pick[:, 1, 0])) for r in evidence]
+
+
+def quiet_target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
+    """The same at the quiet lines."""
+    return [r.turn * (r.quiet.lhs - angular_gain * (r.quiet.rate_pick[:, 0, 1] - r.quiet.rate_pick[:, 1, 0])) for r in evidence]
+
+
+def frequency_columns(evidence: CampaignEvidence, feedthrough: ComplexArray | None = None) -> list[Column]:
+    """How the resonance follows its temperature: ``i T (V - E u)``, for what feeds through does not resonate.
+
+    Far from the temperature of reference that is no small matter: 10 K of silica and E = 2e-4 are 1e-2 rad/s of the drive.
+    """
+    columns = _warming("frequency_per_k", "warm", evidence, feedthrough, np.inf)
+    if _span_k(evidence) >= _TEMPERATURE_SPAN_K:
+        columns += _warming("frequency_per_k2", "warm2", evidence, feedthrough, _FREQUENCY_PER_K2 * evidence.omega0_rad_s)
+    return columns
+
+
+def _warming(name: str, term: str, evidence: CampaignEvidence, feedthrough: ComplexArray | None, prior_sd: float) -> list[Column]:
+    sides = []
+    for place in (SIGNAL, QUIET):
+        vectors = []
+        for r in evidence:
+            vector = (r.quiet if place.quiet else r.signal).terms[term][:, 0]
+            if feedthrough is not None:
+                rise = r.signals.temperature_k[:, None] ** (1 if term == "warm" else 2)
+                vector = vector - place.projector(r).plain((rise * (r.signals.drive @ feedthrough.T))[:, None, :])[:, 0]
+            vectors.append(r.turn * 1j * vector)
+        sides.append(tuple(vectors))
+    return [Column(name, sides[0], sides[1], prior_sd)] if any(np.any(v) for v in sides[0]) else []
+
+
+def _span_k(evidence: CampaignEvidence) -> float:
+    return float(np.ptp(np.concatenate([r.signals.temperature_k for r in evidence])))
+
+
+def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """How a healthy device follows its temperature, and a record that is late."""
+    columns: list[Column] = []
+    columns += _form(evidence, linear, "drive_lag", {"tau": _LAG_S})
+    if _span_k(evidence) < _TEMPERATURE_SPAN_K:
+        return columns
+    columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
+    damping = abs(np.trace(linear.A).real) / 2.0
+    split = 2.0 * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
+    anisotropy = np.abs(linear.A - np.eye(2) * np.trace(linear.A) / 2.0).max()
+    columns += _form(evidence, linear, "thermal_damping", {"c": _DAMPING_PER_K * damping})
+    columns += _collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], _DAMPING_PER_K2 * damping, real=True)
+    sd = _DAMPING_PER_K * float(np.abs(linear.A.real - np.eye(2) * np.trace(linear.A).real / 2.0).max()) + 1e-3 * damping * _DAMPING_PER_K
+    columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
+    columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
+    for name, size in (
+        ("thermal_drive_gain", _GAIN_PER_K),
+        ("thermal_drive_phase", _PHASE_PER_K),
+        ("thermal_pickoff_gain", _GAIN_PER_K),
+    ):
+        columns += _form(evidence, linear, name, {"g_x": size, "g_y": size})
+    return columns
+
+
+def wander_columns(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
+    """Every recording's own distance of its resonance, and how it moved steadily meanwhile."""
+    columns = []
+    for r in evidence:
+        for k, name in enumerate(("shift", "slide")):
+            columns.append(
+                Column(
+                    f"{name}_{r.index}",
+                    tuple(r.turn * 1j * o.signal.resonance[:, k] if o is r else np.zeros(o.signal.lhs.size, complex) for o in evidence),
+                    tuple(r.turn * 1j * o.quiet.resonance[:, k] if o is r else np.zeros(o.quiet.lhs.size, complex) for o in evidence),
+                    wander_rad_s,
+                )
+            )
+    return columns
+
+
+def linear_of(evidence: CampaignEvidence, values: dict[str, float], angular_gain: float) -> Linear:
+    """The linear device that a solution says."""
+
+    def matrix(letter: str) -> ComplexArray:
+        entries = [values.get(f"{letter}_{p}_re", 0.0) + 1j * values.get(f"{letter}_{p}_im", 0.0) for p in ("xx", "xy", "yx", "yy")]
+        return np.array(entries).reshape(2, 2)
+
+    A, reduced, E = matrix("A"), matrix("G"), matrix("E")
+    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0))
+
+
+def _form(evidence: CampaignEvidence, linear: Linear, name: str, sizes: dict[str, float]) -> list[Column]:
+    columns = form_columns(evidence, FORMS[name], linear, {})
+    return [Column(f"{name}.{c.name}", c.signal, c.quiet, sizes[c.name]) for c in columns]
+
+
+def _open(r: RecordingEvidence) -> float:
+    excitation = r.recording.command.excitation
+    return excitation.frequency_hz if excitation.kind == "drive" else 0.0
+
+
+def _body(r: RecordingEvidence) -> float:
+    excitation = r.recording.command.excitation
+    return excitation.frequency_hz if excitation.kind == "body" else 0.0
+
+
+def _away(r: RecordingEvidence, omega0_rad_s: float) -> float:
+    return 2.0 * np.pi * _open(r) / omega0_rad_s - 1.0 if _open(r) > 0.0 else 0.0

@@ -1,0 +1,142 @@
+"""Do the recordings hold what their attributes say? Named in plain words before any verdict."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import DataError
+from ..recording.recording import Campaign, Recording
+from .forms import Linear
+
+__all__ = ["check_campaign", "check_linear", "usable"]
+
+#: relative tolerance of a modulation's index, of an open drive's volts
+_INDEX_TOLERANCE, _VOLTS_TOLERANCE = 0.3, 0.1
+#: a reference further from the frequency of an open drive than this [Hz] is not the drive's
+_REFERENCE_HZ = 0.5
+#: a recording shorter than this share of its like is cut short
+_CUT_SHORT = 0.7
+#: response to rate over kappa of the factory from which on the table and the factory contradict each other
+_RATE_TOLERANCE = 0.2
+_FEWEST_RECORDINGS = 2
+
+
+def usable(campaign: Campaign) -> list[Recording]:
+    """Recordings with something to say: long enough, of a mode that the equations describe."""
+    return [r for r in campaign if len(r) >= 200 and r.command.excitation.kind not in ("frequency_modulation", "secondary_modulation")]
+
+
+def check_campaign(campaign: Campaign) -> list[str]:
+    """Refuse attributes that the data contradict; give warnings in plain words.
+
+    Raises
+    ------
+    DataError
+        Fewer than two recordings with a vibration; an excitation, a drive or a reference that is not in the data.
+    """
+    waves = [r for r in campaign if r.command.mode != "loops_off"]
+    if len(waves) < _FEWEST_RECORDINGS:
+        raise DataError(
+            f"A diagnosis needs at least {_FEWEST_RECORDINGS} recordings with the loops closed, but got {len(waves)}. "
+            "Record the campaign gap-ftr or gap-whole-angle, or part of it."
+        )
+    for r in campaign:
+        _check_modulation(r)
+        _check_open_drive(r)
+    return _cut_short(campaign)
+
+
+def _check_modulation(r: Recording) -> None:
+    excitation, axis = r.command.excitation, r.command.oscillator_axis
+    if excitation.kind != "amplitude_modulation" or axis is None or excitation.frequency_hz * r.duration_s < 0.9:
+        return
+    phase = 2.0 * np.pi * excitation.frequency_hz * r.t
+    design = np.column_stack([np.ones(len(r)), np.cos(phase), np.sin(phase)])
+    mean, c, s = np.linalg.lstsq(design, np.abs(r.pick[:, "xy".index(axis)]), rcond=None)[0]
+    index = float(np.hypot(c, s) / mean)
+    if abs(index - excitation.index) > _INDEX_TOLERANCE * excitation.index:
+        raise DataError(
+            f"Recording {r.label!r} says that its oscillator is modulated by {100 * excitation.index:.3g} % at {excitation.frequency_hz:g} Hz, "
+            f"but the {axis} pick-off shows {100 * index:.3g} % there. Correct the attribute excitation, or the axis."
+        )
+
+
+def _check_open_drive(r: Recording) -> None:
+    excitation = r.command.excitation
+    if excitation.kind not in ("drive", "body") or r.command.mode != "loops_off":
+        return
+    reference = float(np.median(r.column("ref_freq")))
+    if abs(reference - excitation.frequency_hz) > _REFERENCE_HZ:
+        raise DataError(
+            f"Recording {r.label!r} says that it is excited at {excitation.frequency_hz:.6g} Hz, but its reference ref_freq is at "
+            f"{reference:.6g} Hz. Demodulate it at the excitation's frequency, or correct the attribute."
+        )
+    if excitation.kind == "drive":
+        volts = np.median(np.abs(r.drive), axis=0)
+        wanted, other = "xy".index(excitation.axis), 1 - "xy".index(excitation.axis)
+        if volts[other] > volts[wanted]:
+            raise DataError(
+                f"Recording {r.label!r} says that {excitation.axis} is driven, but the other drive carries {volts[other]:.4g} V and "
+                f"{excitation.axis} only {volts[wanted]:.4g} V. Swap the drive columns, or correct the attribute."
+            )
+        if abs(volts[wanted] / excitation.volts - 1.0) > _VOLTS_TOLERANCE:
+            raise DataError(
+                f"Recording {r.label!r} says that {excitation.axis} is driven with {excitation.volts:.4g} V, but its column shows "
+                f"{volts[wanted]:.4g} V. Correct the attribute or the unit of the drive columns."
+            )
+
+
+def _cut_short(campaign: Campaign) -> list[str]:
+    lengths: dict[tuple[object, ...], list[Recording]] = defaultdict(list)
+    for r in campaign:
+        lengths[r.command.mode, r.command.excitation.kind, "applied_rate" in r.extras].append(r)
+    out = []
+    for alike in lengths.values():
+        usual = float(np.median([r.duration_s for r in alike]))
+        for r in alike:
+            stated = r.extras.get("duration_s")
+            wanted = float(stated) if isinstance(stated, int | float) else usual
+            if len(alike) > 2 and r.duration_s < _CUT_SHORT * wanted:
+                out.append(f"{r.label} is cut short: {r.duration_s:.3g} s where {wanted:.3g} s are usual. What it holds is used.")
+    return out
+
+
+def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[Recording]) -> None:
+    """Refuse a linear device that no gyro can be: columns with a wrong sign, swapped, or in other units.
+
+    Raises
+    ------
+    DataError
+    """
+    G, A = linear.G, linear.A
+    straight, crossed = np.abs(np.diag(G)), np.abs([G[0, 1], G[1, 0]])
+    if crossed.min() > straight.max():
+        raise DataError(
+            f"Each drive must move its own axis, but x drive acts on y by {crossed[1]:.3g} and on x by {straight[0]:.3g} 1/s. "
+            "The drive columns (or the pick-off columns) of x and y look swapped."
+        )
+    for k, axis in enumerate("xy"):
+        if straight[k] > 0.0 and G[k, k].imag > 0.5 * straight[k]:
+            raise DataError(
+                f"A positive {axis} drive must push {axis} as theory.md Eq. 4 has it (G_{axis}{axis} near -i), but got {G[k, k]:.3g} 1/s: "
+                f"the sign of the {axis} drive or of the {axis} pick-off columns looks wrong (c and s swapped, or negative)."
+            )
+        if A[k, k].real > 0.2 * straight[k]:
+            raise DataError(
+                f"The {axis} mode must be damped, but got {A[k, k].real:+.3g} 1/s. Check the sign and unit of the columns of {axis}."
+            )
+    if any("applied_rate" in r.extras for r in recordings):
+        response = values.get("rate_anti_re", linear.angular_gain)
+        if response < 0.0:
+            raise DataError(
+                f"The wave must lag behind the table by kappa = {linear.angular_gain:.4g}, but got {response:+.4g}: the sign of applied_rate "
+                "(or of one axis) is wrong. Turn its sign."
+            )
+        if abs(response / linear.angular_gain - 1.0) > _RATE_TOLERANCE:
+            raise DataError(
+                f"The response to the table must be near kappa = {linear.angular_gain:.4g} of the factory, but got {response:.4g}: "
+                "applied_rate is in another unit (deg/s?), or the factory data are another unit's."
+            )

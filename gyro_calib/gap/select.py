@@ -1,0 +1,229 @@
+"""Which effects a campaign needs: forward by evidence, in pairs where singles hide one another, backward, swapped; or something unnamed.
+
+An effect enters only when its evidence beats none by a margin that fifty tests of one campaign do not reach by chance. After the best set,
+anonymous terms are tried on what is left: if they close a share of the gap that the registry does not, the effect is not in the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from .anonymous import Anonymous, anonymous_candidates
+from .model import CampaignModel
+from .screen import Candidate, Screened
+
+__all__ = ["Selection", "Stranger", "select_effects"]
+
+#: least log evidence and chi-square of an effect that is taken up
+MARGIN, LEAST_GAIN = 8.0, 25.0
+#: an effect that is as good as the best within this log evidence is not told apart from it
+_ALIKE = 4.5
+_MOST_EFFECTS = 3
+#: share of an effect's gain that its form, of first order, may leave
+_SECOND_ORDER = 0.005
+#: effects tried in pairs, and least gain of a pair that no member shows alone
+_PAIRED = 8
+#: a share of the gap that is left after the best set, from which on something is missing from the catalogue; and its significance
+_LEFT_SHARE, _LEFT_SIGMA = 0.12, 6.0
+#: how much better an anonymous term must be than the registry
+_BETTER = 12.0
+#: a share that multiplies an effect whose size is its setting must be near one
+_SHARES = (0.4, 2.5)
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """Something that is not in the registry.
+
+    Parameters
+    ----------
+    term : Anonymous
+        The anonymous term that closes most of the gap.
+    screened : Screened
+    nearest : str
+        Effect of the registry that comes nearest, or "".
+    """
+
+    term: Anonymous
+    screened: Screened
+    nearest: str
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was found.
+
+    Parameters
+    ----------
+    effects : tuple of Screened
+        In the order of their gain; sizes with all of them together.
+    groups : tuple of tuple of str
+        For each effect those that these data cannot tell from it, itself first.
+    probabilities : tuple of float
+        For each effect, of its group against none and against something unnamed.
+    stranger : Stranger or None
+    screened : mapping
+        Every effect at its best setting against the nuisances alone.
+    chi2_before, chi2_after, dof : float
+    """
+
+    effects: tuple[Screened, ...]
+    groups: tuple[tuple[str, ...], ...]
+    probabilities: tuple[float, ...]
+    stranger: Stranger | None
+    screened: Mapping[str, Screened]
+    chi2_before: float
+    chi2_after: float
+    dof: int
+    bank: tuple[tuple[Anonymous, Candidate], ...] = field(default=(), repr=False)
+
+
+def physical(found: Screened) -> bool:
+    """Whether an effect's size is one that it can have: the share of a level is one."""
+    sizes = found.sizes()
+    return "level" not in found.candidate.setting or _SHARES[0] <= sizes["share"][0] <= _SHARES[1]
+
+
+def _ranked(model: CampaignModel, chosen: Sequence[Candidate], only: Sequence[str] | None = None) -> list[Screened]:
+    screener = model.screener_with(chosen)
+    taken = {c.name for c in chosen}
+    pool = {n: c for n, c in model.candidates.items() if n not in taken and (only is None or n in only)}
+    singles = {name: best for name, candidates in pool.items() if (best := _best_physical(screener, candidates)) is not None}
+    return sorted(singles.values(), key=lambda s: -s.log_evidence)
+
+
+def _best_physical(screener, candidates: Sequence[Candidate]) -> Screened | None:  # type: ignore[no-untyped-def]
+    found = [s for c in candidates if (s := screener.screen(c)) is not None and physical(s)]
+    return max(found, key=lambda s: s.log_evidence) if found else None
+
+
+def _enough(found: Screened, largest: float = 0.0) -> bool:
+    """Whether an effect counts beside one of the largest gain: what the first order of averaging leaves of that one is no effect."""
+    return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, _SECOND_ORDER * largest)
+
+
+def select_effects(model: CampaignModel) -> Selection:
+    """Select, name what cannot be told apart, and say whether something unnamed is there."""
+    first = _ranked(model, ())
+    chosen: list[Candidate] = []
+    ranked, largest = first, first[0].gain if first else 0.0
+    while ranked and _enough(ranked[0], largest) and len(chosen) < _MOST_EFFECTS:
+        chosen.append(ranked[0].candidate)
+        ranked = _ranked(model, chosen)
+    if not chosen:
+        chosen = _pair(model, first)
+    chosen = _improved(model, chosen, largest)
+    effects = _together(model, chosen)
+    groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
+    screener = model.screener_with(chosen)
+    bank = anonymous_candidates(model.evidence, model.linear)
+    stranger = _stranger(model, chosen, effects, bank, first)
+    return Selection(
+        effects=effects,
+        groups=groups,
+        probabilities=tuple(_probability(e) for e in effects),
+        stranger=stranger,
+        screened={s.name: s for s in first},
+        chi2_before=model.screener.chi2,
+        chi2_after=screener.chi2,
+        dof=screener.dof,
+        bank=tuple(bank),
+    )
+
+
+def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
+    """Two effects that hide one another: neither shows alone."""
+    best: tuple[float, list[Candidate]] = (MARGIN, [])
+    for a, b in combinations(first[:_PAIRED], 2):
+        second = model.screener_with([a.candidate]).screen(b.candidate)
+        if second is None or not physical(second):
+            continue
+        together = a.log_evidence + second.log_evidence
+        if together > best[0] and a.gain + second.gain > 2.0 * LEAST_GAIN:
+            best = (together, [a.candidate, b.candidate])
+    return best[1]
+
+
+def _improved(model: CampaignModel, chosen: list[Candidate], largest: float) -> list[Candidate]:
+    """Drop what the others make needless; swap one for what does better in its place."""
+    for _ in range(2):
+        before = [c.name for c in chosen]
+        for k in range(len(chosen)):
+            if k >= len(chosen) or len(chosen) < 2:
+                break
+            others = [c for j, c in enumerate(chosen) if j != k]
+            ranked = _ranked(model, others)
+            if ranked and _enough(ranked[0], largest):
+                chosen[k] = ranked[0].candidate
+            else:
+                chosen = others
+        if [c.name for c in chosen] == before:
+            break
+    return chosen
+
+
+def _together(model: CampaignModel, chosen: Sequence[Candidate]) -> tuple[Screened, ...]:
+    """Each effect beside the others."""
+    found = []
+    for k, candidate in enumerate(chosen):
+        screened = model.screener_with([c for j, c in enumerate(chosen) if j != k]).screen(candidate)
+        if screened is not None:
+            found.append(screened)
+    return tuple(found)
+
+
+def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[str, ...]:
+    """The effect in place k and those that would do as well in its place."""
+    ranked = _ranked(model, [c for j, c in enumerate(chosen) if j != k])
+    mine = next(s for s in ranked if s.name == chosen[k].name)
+    return (mine.name, *(s.name for s in ranked if s.name != mine.name and s.log_evidence > mine.log_evidence - _ALIKE))
+
+
+def _probability(effect: Screened) -> float:
+    """Of the effect against none, both alike before; at most what a campaign of this kind was ever right with."""
+    return float(min(1.0 / (1.0 + np.exp(-0.5 * (effect.log_evidence - MARGIN / 2.0))), 0.995))
+
+
+def _stranger(
+    model: CampaignModel,
+    chosen: Sequence[Candidate],
+    effects: Sequence[Screened],
+    bank: Sequence[tuple[Anonymous, Candidate]],
+    first: Sequence[Screened],
+) -> Stranger | None:
+    """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
+    screener = model.screener_with(chosen)
+    rest = [(s, a) for a, c in bank if (s := screener.screen(c)) is not None]
+    nearest = first[0].name if first else ""
+    significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
+    before = model.screener.chi2 - model.screener.dof
+    share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
+    if rest:
+        best, term = max(rest, key=lambda pair: pair[0].log_evidence)
+        if (
+            _enough(best, 2.0 * before)
+            and best.log_evidence > MARGIN + 2.0
+            and (not chosen or best.gain > _LEFT_SHARE * max(before, best.gain))
+        ):
+            return Stranger(term, best, nearest)
+        if chosen:
+            alone = max(((s, a) for a, c in bank if (s := model.screener.screen(c)) is not None), key=lambda pair: pair[0].log_evidence)
+            together = sum(e.log_evidence for e in effects) if len(effects) == 1 else _set_evidence(model, chosen)
+            if alone[0].log_evidence > together + _BETTER:
+                return Stranger(alone[1], alone[0], nearest)
+        if significant > _LEFT_SIGMA and share > _LEFT_SHARE:
+            return Stranger(term, best, nearest)
+    return None
+
+
+def _set_evidence(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
+    """Log evidence of a set, one effect after the other."""
+    total = 0.0
+    for k, candidate in enumerate(chosen):
+        found = model.screener_with(chosen[:k]).screen(candidate)
+        total += found.log_evidence if found is not None else 0.0
+    return total

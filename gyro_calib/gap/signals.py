@@ -1,0 +1,143 @@
+"""One recording, thinned and seen from its wave: where the envelope form of every effect is evaluated and projected.
+
+The base of the fit (pick-offs, drives) is projected from full-rate products (:mod:`..estimation.wave_projection`). An effect is a small
+correction: it is enough to form it from the thinned signals, so that fifty of them cost little.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimation.projection import test_functions
+from ..estimation.wave_projection import frame_directions, spectral_derivatives, thin
+from ..recording.applied_rate import applied_rate
+from ..recording.recording import Recording
+
+__all__ = ["Signals"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Thinned signals of a recording with the frame that they are projected in.
+
+    Parameters
+    ----------
+    recording : Recording
+    omega0_rad_s, decay_rate : float
+        As in :class:`..estimation.wave_projection.Products`.
+    width : int
+        Rows per thinned row.
+    temperature_degc : float
+        Temperature that ``temperature_k`` is counted from.
+    start_s : float
+        Device time that ``time_s`` is counted from.
+    """
+
+    recording: Recording
+    omega0_rad_s: float
+    decay_rate: float
+    width: int
+    temperature_degc: float
+    start_s: float
+
+    @cached_property
+    def row_s(self) -> float:
+        """Time of a thinned row [s]."""
+        return self.width / self.recording.sample_rate_hz
+
+    @cached_property
+    def pick(self) -> ComplexArray:
+        """V, shape (n, 2) [V]."""
+        return np.asarray(thin(self.recording.pick, self.width))
+
+    @cached_property
+    def drive(self) -> ComplexArray:
+        """u, shape (n, 2) [V]."""
+        return np.asarray(thin(self.recording.drive, self.width))
+
+    @cached_property
+    def omega_rad_s(self) -> FloatArray:
+        """Reference frequency, shape (n,)."""
+        return np.asarray(thin(self.recording.ref_omega_rad_s, self.width))
+
+    @cached_property
+    def time_s(self) -> FloatArray:
+        """Device time since the start of the campaign, shape (n,)."""
+        return np.asarray(thin(self.recording.t, self.width)) - self.start_s
+
+    @cached_property
+    def temperature_k(self) -> FloatArray:
+        """Temperature above the one that the campaign is referred to, shape (n,)."""
+        return np.asarray(thin(self.recording.temperature_degc, self.width)) - self.temperature_degc
+
+    @cached_property
+    def rate_rad_s(self) -> FloatArray:
+        """Applied rate, shape (n,)."""
+        return np.asarray(thin(applied_rate(self.recording)[0], self.width))
+
+    @cached_property
+    def _frame(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+        directions, _ = frame_directions(self.recording)
+        return tuple(
+            (np.asarray(thin(d.m, self.width)), np.asarray(thin(d.m1, self.width)), np.asarray(thin(d.m2, self.width))) for d in directions
+        )
+
+    def projector(self, lines_hz: Sequence[float]) -> Projector:
+        """Projection on these lines."""
+        f = test_functions(np.asarray(thin(self.recording.t, self.width)), self.row_s, list(lines_hz))
+        first, second = spectral_derivatives(f.value, self.row_s)
+        return Projector(self, f.frequency_hz, f.value, first, second)
+
+
+@dataclass(frozen=True)
+class Projector:
+    """Projects signals of shape (n, k, 2) to equations (2 m, k): along the wave first, then across."""
+
+    signals: Signals
+    frequency_hz: FloatArray
+    value: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+    @cached_property
+    def _plain(self) -> FloatArray:
+        """Operator of :meth:`plain`, shape (2 m, 2 n): a signal's rows one after the other, x and y beside each other."""
+        s = self.signals
+        return np.concatenate([s.row_s * (self.value[:, :, None] * m[None]).reshape(len(self.value), -1) for m, _, _ in s._frame])
+
+    @cached_property
+    def _through_flow(self) -> ComplexArray:
+        """Operator of :meth:`through_flow`: L by parts, every derivative on the test functions and the frame."""
+        s = self.signals
+        omega, omega0 = s.omega_rad_s, s.omega0_rad_s
+        slow = (omega - omega0) / (2.0 * omega0)
+        gain = (omega / omega0 + slow)[None, :, None]
+        shift = (1j * (omega**2 - omega0**2) / (2.0 * omega0) + 2.0 * s.decay_rate * slow)[None, :, None]
+        twice = 2j * omega0
+        value, first, second = (w[:, :, None] for w in (self.value, self.first, self.second))
+        parts = []
+        for m, m1, m2 in ((d[0][None], d[1][None], d[2][None]) for d in s._frame):
+            operator = (
+                value * (-gain * m1 + shift * m + (m2 - 2.0 * s.decay_rate * m1) / twice)
+                + first * (-gain * m + 2.0 * (m1 - s.decay_rate * m) / twice)
+                + second * m / twice
+            )
+            parts.append(s.row_s * operator.reshape(len(self.value), -1))
+        return np.concatenate(parts)
+
+    def plain(self, x: ComplexArray) -> ComplexArray:
+        """Projection of what is added to p', x of shape (n, k, 2)."""
+        flat = np.swapaxes(x, 1, 2).reshape(-1, x.shape[1])
+        return np.asarray(self._plain @ flat.real + 1j * (self._plain @ flat.imag))
+
+    def through_flow(self, x: ComplexArray) -> ComplexArray:
+        """Projection of L[x]: what a change of the pick-off's volts adds to the left of the slow flow."""
+        return np.asarray(self._through_flow @ np.swapaxes(x, 1, 2).reshape(-1, x.shape[1]))

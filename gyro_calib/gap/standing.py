@@ -1,0 +1,70 @@
+"""What the recordings say of every effect of the registry, the absent ones too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..effects import EFFECTS
+from ..quantity import Quantity
+from .candidates import registry_name
+from .diagnosis import Standing
+from .forms import FORMS
+from .model import CampaignModel
+from .screen import Screened
+from .select import LEAST_GAIN, Selection
+
+__all__ = ["standings"]
+
+#: chi-square at which an effect is taken up, and a standard normal's 90 % point: the size that would have been seen nine times in ten
+_SEEN = float(np.sqrt(LEAST_GAIN + 5.0)) + 1.28
+#: an effect that must be this many times its usual size to be seen: cannot tell; and: not testable
+_LARGE, _BEYOND = 5.0, 50.0
+
+
+def standings(model: CampaignModel, selection: Selection, without: Sequence[str] = ()) -> tuple[Standing, ...]:
+    """One line per effect, the present ones first, then by evidence."""
+    present = {e.name for e in selection.effects}
+    alike = {name: group[0] for group in selection.groups for name in group[1:]}
+    out = []
+    screener = model.screener_with([e.candidate for e in selection.effects])
+    for name in FORMS:
+        if name not in EFFECTS or name in without:
+            continue
+        effect = EFFECTS[name]
+        found = _best(model, screener, name) if name not in present else next(e for e in selection.effects if e.name == name)
+        if found is None:
+            out.append(Standing(name, effect.title, effect.location, "not testable", None, 0.0, 0.0, 1.0))
+            continue
+        status, limit = _status(found)
+        if name in present:
+            status, limit = "present", None
+        elif name in alike:
+            status, limit = f"like {alike[name]}", None
+        out.append(Standing(name, effect.title, effect.location, status, limit, found.log_evidence, found.gain, found.absorbed))
+    rank = {"present": 0, "like": 1}
+    return tuple(sorted(out, key=lambda s: (rank.get(s.status.split()[0], 2), -s.log_evidence)))
+
+
+def _best(model: CampaignModel, screener, name: str) -> Screened | None:  # type: ignore[no-untyped-def]
+    found = [s for c in model.candidates.get(name, ()) if (s := screener.screen(c)) is not None]
+    # the setting at which it is seen best
+    return min(found, key=lambda s: float(np.min(s.sd / s.candidate.prior_sd))) if found else None
+
+
+def _status(found: Screened) -> tuple[str, Quantity | None]:
+    """Excluded above a size, or too large to be seen here."""
+    effect = EFFECTS[registry_name(found.name, found.candidate.setting)]
+    first = found.candidate.columns[0].name
+    if first not in {p.name for p in effect.parameters} or first in found.candidate.setting:
+        return ("excluded" if _SEEN * float(found.sd[0]) < 1.0 else "cannot tell"), None
+    limits = [
+        (_SEEN * float(sd) / effect.parameter(c.name).typical, effect.parameter(c.name), float(sd))
+        for c, sd in zip(found.candidate.columns, found.sd, strict=True)
+    ]
+    ratio, parameter, sd = min(limits, key=lambda item: item[0])
+    size = Quantity(_SEEN * sd, sd, parameter.unit)
+    if ratio > _BEYOND:
+        return "not testable", size
+    return ("cannot tell" if ratio > _LARGE else "excluded"), size

@@ -1,0 +1,101 @@
+"""The campaign's equations weighed with their noise, and their least-squares solution with priors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from ..estimation.linear_fit import NoiseModel
+from .columns import Column
+from .evidence import CHANNELS, CampaignEvidence
+
+__all__ = ["NoiseByRole", "Solution", "Whitener", "solve"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: (role, channel) -> density
+NoiseByRole = Mapping[tuple[str, str], NoiseModel]
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns complex equations into real ones of unit noise: by recording the real parts, then the imaginary ones, along then across."""
+
+    factors: tuple[tuple[FloatArray, FloatArray], ...]
+
+    @classmethod
+    def of(cls, evidence: CampaignEvidence, noise: NoiseByRole) -> Whitener:
+        """Cholesky factors of the covariance of each recording's equations."""
+        factors = []
+        for r in evidence:
+            half = r.signal.lhs.size // 2
+            pair = []
+            for part in range(2):
+                density = np.concatenate([noise[r.role, CHANNELS[2 * k + part]].density(r.signal.frequency_hz[:half]) for k in range(2)])
+                sd = np.sqrt(density)
+                pair.append(np.linalg.cholesky(r.signal.gram * np.outer(sd, sd) + 1e-12 * np.diag(density)))
+            factors.append((pair[0], pair[1]))
+        return cls(tuple(factors))
+
+    def rows(self, by_recording: Sequence[ComplexArray]) -> FloatArray:
+        """Whitened real rows of vectors (m,) or matrices (m, k), recordings one below the other."""
+        parts = []
+        for (re, im), x in zip(self.factors, by_recording, strict=True):
+            parts += [solve_triangular(re, x.real, lower=True), solve_triangular(im, x.imag, lower=True)]
+        return np.concatenate(parts)
+
+    def design(self, columns: Sequence[Column], count: int) -> FloatArray:
+        """Whitened design, shape (rows, columns)."""
+        return self.rows([np.stack([c.signal[k] for c in columns], axis=1) for k in range(count)])
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A weighted least-squares solution.
+
+    Parameters
+    ----------
+    columns : tuple of Column
+    values : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+    residual : ndarray, shape (n,)
+        Whitened, priors left out.
+    chi2 : float
+        With the priors.
+    basis : ndarray, shape (n, k)
+        Orthonormal columns (with priors: less than orthonormal): what the solution can follow. Leverages are its squared row sums.
+    """
+
+    columns: tuple[Column, ...]
+    values: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
+    chi2: float
+    basis: FloatArray
+
+    def by_name(self) -> dict[str, float]:
+        """Values by name."""
+        return {c.name: float(v) for c, v in zip(self.columns, self.values, strict=True)}
+
+
+def solve(columns: Sequence[Column], design: FloatArray, target: FloatArray) -> Solution:
+    """Least squares with the columns' priors; directions that nothing tells are left at zero."""
+    prior = np.array([c.prior_sd for c in columns])
+    held = np.isfinite(prior)
+    rows = np.zeros((int(held.sum()), len(columns)))
+    rows[np.arange(rows.shape[0]), np.flatnonzero(held)] = 1.0 / prior[held]
+    full = np.vstack([design, rows])
+    scale = np.linalg.norm(full, axis=0)
+    scale[scale == 0.0] = 1.0
+    u, s, vt = np.linalg.svd(full / scale, full_matrices=False)
+    kept = s > 1e-9 * s[0]
+    inverse = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)
+    whole = np.concatenate([target, np.zeros(rows.shape[0])])
+    values = (vt.T @ (inverse * (u.T @ whole))) / scale
+    covariance = (vt.T * inverse**2) @ vt / np.outer(scale, scale)
+    left = whole - full @ values
+    return Solution(tuple(columns), values, covariance, left[: target.size], float(left @ left), u[: target.size, kept])
