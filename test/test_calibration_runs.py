@@ -87,6 +87,19 @@ def test_a_self_calibration_puts_one_record_in_force(bench: Bench, tmp_path: Pat
     assert len(load_campaign(tmp_path / status.run_id / "campaign.h5")) == record.provenance["recordings"]
 
 
+def test_run_cubic_records_three_amplitudes_and_calibrates_for_the_missions(bench: Bench, tmp_path: Path) -> None:
+    status = bench.run("run_cubic", artifacts=tmp_path)
+    assert status.state is RunState.DONE, status.message
+    (record,) = bench.adopted
+    campaign = load_campaign(tmp_path / status.run_id / "campaign.h5")
+    assert {r.command.setpoints.amplitude_v for r in campaign if r.command.oscillator_axis} == {0.6, 1.0, 1.4}
+    assert record.operating_point["amplitude_v"] == 1.0
+    truth = bench.instrument.simulator.truth()
+    assert abs(record.bias.value - truth.bias_rad_s) < 5.0 * record.bias.sd
+    # this unit is linear, and the test for the terms says so
+    assert "cubic" not in status.message
+
+
 def test_progress_goes_up_names_the_step_and_ends_in_an_estimate(bench: Bench) -> None:
     bench.run("run_sideband")
     running = [s for s in bench.seen if s.state is RunState.RUNNING]

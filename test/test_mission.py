@@ -66,7 +66,8 @@ def noisy() -> Calibrated:
 def test_at_the_calibrations_operating_point_it_is_the_rate(quiet: Calibrated, mode: str, rate: float) -> None:
     found = mission_rate(quiet.recording(rate, mode=mode), quiet.record)
     assert abs(found.rate_rad_s.mean() - rate) < 0.3 * DEG_H + 3e-6 * rate
-    assert found.damping_ratio.mean() == pytest.approx(1.0, abs=1e-5)
+    # non-orthogonality n turns rotation into damping, 2 n kappa Omega tau of it; the record knows n to 3e-5
+    assert found.damping_ratio.mean() == pytest.approx(1.0, abs=1e-5 + 9e-5 * rate)
 
 
 @pytest.mark.parametrize("mode", ["ftr_x", "ftr_y"])

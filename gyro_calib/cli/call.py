@@ -1,6 +1,6 @@
 """Call a service of the calibration by its short name and wait for the end of the run.
 
-Runs: self_calibrate, run_sideband, run_cubic, run_virtual_precession, run_scale_factor, run_feedthrough.
+Runs: self_calibrate, run_sideband, run_cubic, run_virtual_precession, run_scale_factor, run_feedthrough, diagnose_gap.
 At once: cancel, save, revert, self_test, enable, disable.
 """
 

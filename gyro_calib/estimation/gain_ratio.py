@@ -39,20 +39,23 @@ from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Recording
 from .drive_chain import DriveChain
+from .stiffness_gain import stiffness_gain
 from .wave import Wave, wave_coordinates
+from .wave_drive import COUPLING_SD, SWITCHED, block_means, effective_drive, off_axis, wave_off_axis
 
 __all__ = ["RingResult", "off_axis", "reference_ratio", "ring_gain", "scale_factor", "stiffness_gain"]
 
 FloatArray = NDArray[np.float64]
-#: blocks over which the amplitude, and the frequency, are averaged [s]
-_RING_S, _STIFFNESS_S = 0.4, 0.1
+ComplexArray = NDArray[np.complex128]
+#: blocks over which the amplitude is averaged [s]
+_RING_S = 0.4
 #: share of the largest drive ratio from which on a leg is a leg
 _LEG = 0.9
+#: square of the drive ratio over the largest, below which the wave is being held, and how many steps of it show the feedthrough
+_HELD, _HELD_STEPS = 0.5, 4
 _NONLINEAR = ("nonlinear_damping", "pickoff_cubic")
 #: chance of taking up a nonlinear term for nothing
 _CHANCE = 1e-4
-#: how well the couplings of the drives, and the angles of the pick-offs, are known when nobody says [rad]
-_COUPLING_SD = 5e-3
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ def ring_gain(
     gain, gain_sd = fit.values["gain"]
     azimuth = float(np.mean([p.off_axis for p in parts]))
     if chain is None:
-        gain_sd = math.hypot(gain_sd, gain * 2.0 * abs(azimuth) * _COUPLING_SD)
+        gain_sd = math.hypot(gain_sd, gain * 2.0 * abs(azimuth) * COUPLING_SD)
     decay, decay_sd = fit.values["decay"]
     return RingResult(
         gain=Quantity(gain, gain_sd, "1/s"),
@@ -138,7 +141,9 @@ def _selected(parts: list[_RingPart]) -> _RingFit:
     over).
     """
     linear = ["decay", "gain"]
-    if any(float(np.ptp(p.columns["drive"])) > 0.5 * float(np.max(np.abs(p.columns["drive"]))) for p in parts):
+    # of one ratio, up and down, the feedthrough's part is even and passes for damping: the gain does without it
+    squares = np.concatenate([p.columns["drive"][1:][p.steady] ** 2 for p in parts])
+    if np.count_nonzero(squares < _HELD * squares.max(initial=0.0)) >= _HELD_STEPS:
         linear.append("feedthrough")
     plain = _fit(parts, linear)
     single = min((_fit(parts, [*linear, name]) for name in _NONLINEAR), key=lambda fit: fit.squares)
@@ -151,10 +156,11 @@ def _selected(parts: list[_RingPart]) -> _RingFit:
 
 @dataclass(frozen=True)
 class _RingPart:
-    """Thinned regressors of one recording: ln a and the integrals of what changes it."""
+    """Thinned regressors of one recording: ln a and the integrals of what changes it; and which of their steps count."""
 
     log_amplitude: FloatArray
     columns: dict[str, FloatArray]
+    steady: NDArray[np.bool_]
     off_axis: float
 
 
@@ -164,56 +170,45 @@ def _ring_part(
     wave = wave_coordinates(recording)
     row_s = 1.0 / recording.sample_rate_hz
     a = wave.amplitude_v
-    ratio = _drive_ratio(wave, drive_amplitude_v)
-    off = _off_axis(wave, axis)
-    if chain is not None:
-        ratio = ratio * _direction_gain(wave, chain) / (1.0 if axis == "x" else 1.0 + chain.delta_g)
+    ratio = effective_drive(wave, axis, chain).imag / (wave.amplitude_v if drive_amplitude_v is None else drive_amplitude_v)
+    off = wave_off_axis(wave, axis)
 
     def passed(values: FloatArray) -> FloatArray:
         return np.concatenate([[0.0], np.cumsum(0.5 * row_s * (values[1:] + values[:-1]))])
 
-    width = max(1, round(min(_RING_S, wave.t.size * row_s / 12.0) * recording.sample_rate_hz))
+    width = max(2, round(min(_RING_S, wave.t.size * row_s / 12.0) * recording.sample_rate_hz))
     return _RingPart(
-        log_amplitude=_means(np.log(a) - passed(0.5 * cross_damping * np.sin(2.0 * wave.azimuth_rad)), width),
+        log_amplitude=block_means(np.log(a) - passed(0.5 * cross_damping * np.sin(2.0 * wave.azimuth_rad)), width),
         columns={
-            "decay": _means(passed(np.ones_like(a)), width),
-            "gain": _means(passed(ratio), width),
-            "nonlinear_damping": _means(passed(a**2), width),
+            "decay": block_means(passed(np.ones_like(a)), width),
+            "gain": block_means(passed(ratio), width),
+            "nonlinear_damping": block_means(passed(a**2), width),
             # ln V = ln v + p v^2, and v is what obeys the equation
-            "pickoff_cubic": _means(a**2, width),
-            "drive": _means(ratio, width),
-            "drive_squared": _means(passed(ratio**2), width),
+            "pickoff_cubic": block_means(a**2, width),
+            "drive": block_means(ratio, width),
+            "drive_squared": block_means(passed(ratio**2), width),
         },
+        steady=_steady(ratio, width),
         off_axis=off,
     )
 
 
-def _means(values: FloatArray, width: int) -> FloatArray:
-    """Means over blocks of ``width`` rows; what is left at the end is dropped."""
-    count = values.size // width
-    return np.asarray(values[: count * width].reshape(count, width).mean(axis=1))
+def _steady(ratio: FloatArray, width: int) -> NDArray[np.bool_]:
+    """Steps between blocks in which the drive is not switched.
+
+    Where it is, amplitude and drive are means over rows whose filter does not commute with their ratio: 1e-4 of a gain within 0.1 s.
+    """
+    count = ratio.size // width
+    change = np.ptp(ratio[: count * width].reshape(count, width), axis=1)
+    jump = np.abs(np.diff(block_means(ratio, width)))
+    limit = SWITCHED * float(np.max(np.abs(ratio)))
+    return np.asarray((change[1:] < limit) & (change[:-1] < limit) & (jump < limit))
 
 
 def _drive_ratio(wave: Wave, drive_amplitude_v: float | None) -> FloatArray:
     """Drive in phase with the velocity of the wave over what it acts in proportion to."""
     volts = wave.drive_along.imag
     return np.asarray(volts / (wave.amplitude_v if drive_amplitude_v is None else drive_amplitude_v))
-
-
-def off_axis(recording: Recording, axis: str) -> float:
-    """Mean angle of the wave of a recording from an axis (psi, or psi less a right angle), within half a turn [rad]."""
-    return _off_axis(wave_coordinates(recording), axis)
-
-
-def _off_axis(wave: Wave, axis: str) -> float:
-    psi = float(np.mean(wave.azimuth_rad)) - (0.5 * math.pi if axis == "y" else 0.0)
-    return (psi + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-
-
-def _direction_gain(wave: Wave, chain: DriveChain) -> FloatArray:
-    """n G n over G_xx at every azimuth."""
-    cos, sin = np.cos(wave.azimuth_rad), np.sin(wave.azimuth_rad)
-    return np.asarray(cos**2 + 2.0 * sin * cos * math.tan(chain.two_delta) + (1.0 + chain.delta_g) * sin**2)
 
 
 @dataclass(frozen=True)
@@ -242,8 +237,8 @@ def _solved(parts: list[_RingPart], names: list[str], gain: float) -> _RingFit:
     design, target = [], []
     for part in parts:
         columns = {**part.columns, "feedthrough": part.columns["drive"] + gain * part.columns["drive_squared"]}
-        design.append(np.diff(np.column_stack([columns[name] for name in names]), axis=0))
-        target.append(np.diff(part.log_amplitude))
+        design.append(np.diff(np.column_stack([columns[name] for name in names]), axis=0)[part.steady])
+        target.append(np.diff(part.log_amplitude)[part.steady])
     matrix, values = np.vstack(design), np.concatenate(target)
     scale = np.linalg.norm(matrix, axis=0)
     solution, *_ = np.linalg.lstsq(matrix / scale, values, rcond=None)
@@ -294,69 +289,6 @@ def _commanded(recording: Recording, sign: int) -> float | None:
     return sign * abs(value) if value else None
 
 
-def stiffness_gain(recordings: Sequence[Recording], axis: str, *, chain: DriveChain | None = None) -> Quantity:
-    """Gain of one axis from the frequency under stiffness control (document 003, first method) [1/s].
-
-    The frequency is that of the wave (reference and phase of the wave against it), so the PLL need not settle. The resonance wanders at
-    random: what is regressed are steps between neighbouring means, which makes a control that alternates a few times a second worth far
-    more than
-    slow steps. Where the wander is as large as the effect (a hemisphere: 2e-3 of it), the amplitude method is the better one, as the
-    document says.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        With CR switched within a recording, or one recording per value in close succession.
-    axis : {"x", "y"}
-    chain : DriveChain, optional
-        As in :func:`ring_gain`.
-
-    Raises
-    ------
-    CalibrationRefused
-        CR did not change.
-    """
-    parts = [_stiffness_part(r, axis, chain) for r in sorted(recordings, key=lambda r: float(r.t[0]))]
-    frequency, control, edge = (np.diff(np.concatenate([p[k] for p in parts])) for k in range(3))
-    if float(np.max(np.abs(control), initial=0.0)) < 1e-3:
-        raise CalibrationRefused("Stiffness control must change during the recordings, but it did not. Step stiffness_v_per_v.")
-    slope = _regressed(np.column_stack([control, edge]), frequency)
-    off = 0.0 if chain is not None else 2.0 * abs(float(np.mean([p[3] for p in parts]))) * _COUPLING_SD
-    return Quantity(slope.value, math.hypot(slope.sd, slope.value * off), "1/s")
-
-
-def _stiffness_part(recording: Recording, axis: str, chain: DriveChain | None) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Frequency of the wave [rad/s], minus u_par_c/a, its change over the block, of every block; and the angle off the axis."""
-    wave = wave_coordinates(recording)
-    width = max(1, round(_STIFFNESS_S * recording.sample_rate_hz))
-    count = wave.t.size // width
-    ratio = wave.drive_along.real / wave.amplitude_v
-    if chain is not None:
-        ratio = ratio * _direction_gain(wave, chain) / (1.0 if axis == "x" else 1.0 + chain.delta_g)
-    # what the phase of the wave gains on the reference adds to the reference's own frequency
-    gained = np.diff(wave.phase_rad[: count * width : width]) * recording.sample_rate_hz / width
-    reference = _means(recording.ref_omega_rad_s, width)[:-1]
-    # a record of the frequency that is a few rows late shows where CR steps, and only there
-    edge = np.diff(ratio[: count * width : width])
-    return reference + gained, -_means(ratio, width)[:-1], -edge, _off_axis(wave, axis)
-
-
-def _regressed(design: FloatArray, target: FloatArray) -> Quantity:
-    """First slope; the noise has the autocovariance up to lag two that the residuals show (the phase is read at the ends of blocks)."""
-    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
-    information = np.eye(design.shape[1])
-    for _ in range(3):
-        left = target - design @ solution
-        covariance = np.eye(left.size) * 1e-6 * float(left @ left) / left.size
-        for k in range(3):
-            lag = (1.0 - k / 3.0) * float(left[k:] @ left[: left.size - k]) / left.size
-            covariance += lag * (np.eye(left.size, k=k) + (np.eye(left.size, k=-k) if k else 0.0))
-        weighed = np.linalg.solve(covariance, design)
-        information = weighed.T @ design
-        solution = np.linalg.solve(information, weighed.T @ target)
-    return Quantity(float(solution[0]), math.sqrt(float(np.linalg.inv(information)[0, 0])), "1/s")
-
-
 def reference_ratio(gain_x: Quantity, gain_y: Quantity, pickoff_ratio: Quantity) -> Quantity:
     """rho = Gmx/Gmy for the factory to store: from the gain of either axis and the pick-off ratio r (a rate table gives it)."""
     value = pickoff_ratio.value * gain_x.value / gain_y.value
@@ -391,6 +323,6 @@ def scale_factor(
     value = kappa * amplitude_v * (ratio.value if axis == "x" else -1.0 / ratio.value) / gain.value
     aside = 0.0
     if chain is not None:
-        aside = _COUPLING_SD * float(np.hypot(chain.matrix[0, 1], chain.matrix[1, 0]))
+        aside = COUPLING_SD * float(np.hypot(chain.matrix[0, 1], chain.matrix[1, 0]))
     relative = math.sqrt((gain.sd / gain.value) ** 2 + (ratio.sd / ratio.value) ** 2 + aside**2)
     return Quantity(value, abs(value) * relative, "V/(rad/s)")

@@ -35,24 +35,25 @@ class NoiseModel:
     carrier: float = 0.0
     walk: float = 0.0
 
-    def density(self, frequency_hz: FloatArray) -> FloatArray:
-        """Density at each frequency, shape as the argument."""
+    def density(self, frequency_hz: FloatArray, slope_hz: FloatArray | None = None) -> FloatArray:
+        """Density at each frequency, shape as the argument; ``slope_hz``: see :func:`fit_noise`."""
         f = np.maximum(np.abs(frequency_hz), self.lowest_hz)
         c = self.coefficients
-        smooth = c[0] + c[1] / f + c[2] * f**2 + self.walk / f**2
+        smooth = c[0] + c[1] / f + c[2] * (f if slope_hz is None else slope_hz) ** 2 + self.walk / f**2
         return np.asarray(smooth + self.carrier * (np.asarray(frequency_hz) == 0.0))
 
 
-def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float) -> NoiseModel:
+def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float, slope_hz: FloatArray | None = None) -> NoiseModel:
     """Fit the density to squared residual projections (each chi-square with one degree of freedom), non-negative coefficients.
 
     A flicker, random-walk (a resonance that wanders) or pick-off term is kept only when the data ask for it (Bayesian information
     criterion on the Whittle likelihood): a term that only chance put there would be carried by 1/f to the carrier line and cost most of
     its weight. ``lowest_hz`` is where flicker is cut off: the effective frequency of the carrier line of a record, about a third of its
-    1/duration.
+    1/duration. ``slope_hz`` is the rms slope of each test function over 2 pi, which is what pick-off noise enters with: near the carrier
+    the ends of the window make it far larger than the line.
     """
     f = np.maximum(np.abs(frequency_hz), lowest_hz)
-    basis = np.column_stack([np.ones_like(f), 1.0 / f, f**2, 1.0 / f**2])
+    basis = np.column_stack([np.ones_like(f), 1.0 / f, (f if slope_hz is None else slope_hz) ** 2, 1.0 / f**2])
     best, best_score = np.zeros(4), np.inf
     for terms in ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3)):
         coefficients = np.zeros(4)
@@ -89,11 +90,11 @@ class Equation:
         Noise of real and imaginary part of each equation.
     detuning : ndarray, shape (m, k), complex, or None
         Regressors of this recording's own resonance shift (``i lambda p``): constant and steady when the axis oscillates, constant in open
-        drive.
-    detuning_sd : float
+        drive. A column times -i is a real unknown of the recording of any kind.
+    detuning_sd : float or ndarray, shape (k,)
         How large the shift may be [rad/s]; infinite where the recording itself determines it.
-    common : ndarray, shape (m, m), or None
-        Covariance that real parts and imaginary parts have beside that of ``gram`` and their own noise.
+    covariance : tuple of 2 ndarray, shape (m, m), or None
+        Of the noise of real and of imaginary parts, where ``gram`` and their deviations do not say all of it.
     """
 
     lhs: ComplexArray
@@ -102,8 +103,8 @@ class Equation:
     sd_re: FloatArray
     sd_im: FloatArray
     detuning: ComplexArray | None = None
-    detuning_sd: float = float("inf")
-    common: FloatArray | None = None
+    detuning_sd: float | FloatArray = float("inf")
+    covariance: tuple[FloatArray, FloatArray] | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,11 @@ class LinearFit:
         Of the column-scaled weighted design matrix.
     residuals : tuple of ndarray, complex
         Per recording, unweighted.
+    detunings : tuple of ndarray, shape (k, 2)
+        Per recording, its own resonance shift [rad/s] and the standard deviation of it; empty where none was sought.
+    explained : tuple of ndarray, complex
+        Per recording, variance of what the fit took out of each equation's real part, and (as imaginary part) of its imaginary one: its
+        residual has that much less than its noise.
     """
 
     coefficients: ComplexArray
@@ -129,13 +135,14 @@ class LinearFit:
     dof: int
     condition_number: float
     residuals: tuple[ComplexArray, ...]
+    detunings: tuple[FloatArray, ...] = ()
+    explained: tuple[ComplexArray, ...] = ()
 
 
-def _whitener(gram: FloatArray, sd: FloatArray, common: FloatArray | None) -> FloatArray:
-    covariance = gram * np.outer(sd, sd)
-    if common is not None:
-        covariance = covariance + common
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+def _whiteners(e: Equation) -> tuple[FloatArray, FloatArray]:
+    both = e.covariance or (e.gram * np.outer(e.sd_re, e.sd_re), e.gram * np.outer(e.sd_im, e.sd_im))
+    re, im = (np.asarray(np.linalg.inv(np.linalg.cholesky(c))) for c in both)
+    return re, im
 
 
 def fit_axis(equations: list[Equation]) -> LinearFit:
@@ -150,25 +157,28 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
     own = [0 if e.detuning is None else e.detuning.shape[1] for e in equations]
     first = np.concatenate([[0], np.cumsum(own)])
     unknowns = 2 * count + int(first[-1])
-    designs, targets = [], []
+    designs, targets, plain = [], [], []
     for i, e in enumerate(equations):
         re, im = e.regressors.real, e.regressors.imag
         shift_re, shift_im = np.zeros((e.lhs.size, int(first[-1]))), np.zeros((e.lhs.size, int(first[-1])))
         if e.detuning is not None:
             place = slice(int(first[i]), int(first[i + 1]))
             shift_re[:, place], shift_im[:, place] = -e.detuning.imag, e.detuning.real
-            if np.isfinite(e.detuning_sd):
+            spread = np.broadcast_to(np.asarray(e.detuning_sd, dtype=float), own[i])
+            known = np.isfinite(spread)
+            if known.any():
                 prior = np.zeros((own[i], unknowns))
-                prior[:, 2 * count + place.start : 2 * count + place.stop] = np.eye(own[i]) / e.detuning_sd
-                designs.append(prior)
-                targets.append(np.zeros(own[i]))
+                prior[:, 2 * count + place.start : 2 * count + place.stop] = np.diag(1.0 / spread)
+                designs.append(prior[known])
+                targets.append(np.zeros(int(known.sum())))
         top = np.empty((e.lhs.size, 2 * count))
         bottom = np.empty_like(top)
         top[:, 0::2], top[:, 1::2] = re, -im
         bottom[:, 0::2], bottom[:, 1::2] = im, re
-        for part, shift, value, sd in ((top, shift_re, e.lhs.real, e.sd_re), (bottom, shift_im, e.lhs.imag, e.sd_im)):
-            white = _whitener(e.gram, sd, e.common)
-            designs.append(white @ np.hstack([part, shift]))
+        whiteners = _whiteners(e)
+        for part, shift, value, white in ((top, shift_re, e.lhs.real, whiteners[0]), (bottom, shift_im, e.lhs.imag, whiteners[1])):
+            plain.append(np.hstack([part, shift]))
+            designs.append(white @ plain[-1])
             targets.append(white @ value)
     design, target = np.vstack(designs), np.concatenate(targets)
     used = np.linalg.norm(design, axis=0)
@@ -185,6 +195,8 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
     covariance = (vt.T / s**2) @ vt / np.outer(used, used)
     residual = target - design @ solution
     coefficients = solution[0 : 2 * count : 2] + 1j * solution[1 : 2 * count : 2]
+    both = np.column_stack([solution, np.sqrt(np.diag(covariance))])
+    taken = [np.einsum("jk,kl,jl->j", d, covariance, d) for d in plain]
     raw = []
     for i, e in enumerate(equations):
         left = e.lhs - e.regressors @ coefficients
@@ -198,4 +210,6 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
         dof=design.shape[0] - unknowns,
         condition_number=float(s[0] / s[-1]),
         residuals=tuple(raw),
+        explained=tuple(re + 1j * im for re, im in zip(taken[0::2], taken[1::2], strict=True)),
+        detunings=tuple(both[2 * count + int(a) : 2 * count + int(a) + k] for a, k in zip(first, own, strict=False)),
     )

@@ -53,6 +53,8 @@ FloatArray = NDArray[np.float64]
 #: a wave that turns by less than one period of 4 theta (pi in psi) has no mean over it
 _PERIOD_RAD = math.pi
 _SMOOTH_S = 0.2
+#: blocks of a recording whose steps are fitted
+_BLOCKS = 80
 
 
 @dataclass(frozen=True)
@@ -99,14 +101,16 @@ def azimuth_fit(recording: Recording) -> AzimuthFit:
     row_s = 1.0 / recording.sample_rate_hz
     angle = 2.0 * smooth_azimuth(wave.azimuth_rad, round(_SMOOTH_S * recording.sample_rate_hz))[rows]
     basis = _harmonics(angle, 2)
-    passed = np.vstack([np.zeros(basis.shape[1]), np.cumsum(0.5 * row_s * (basis[1:] + basis[:-1]), axis=0)])
-    design = np.column_stack([np.ones(passed.shape[0]), passed])
-    theta = wave.theta_rad[rows]
-    solution, *_ = np.linalg.lstsq(design, theta, rcond=None)
-    covariance = _correlated(design, theta - design @ solution)
+    # drives turn a wave by volts over amplitude, and that follows 4 theta as far as its loop is slow (5e-5 at 8 deg/s)
+    amplitude = wave.amplitude_v[rows]
+    flow = basis * (amplitude.mean() / amplitude)[:, None]
+    passed = np.vstack([np.zeros(basis.shape[1]), np.cumsum(0.5 * row_s * (flow[1:] + flow[:-1]), axis=0)])
+    design, turn = _steps(passed), _steps(wave.theta_rad[rows])
+    solution, *_ = np.linalg.lstsq(design, turn, rcond=None)
+    covariance = _correlated(design, turn - design @ solution)
     drive, *_ = np.linalg.lstsq(basis, wave.drive_along.imag[rows], rcond=None)
     return AzimuthFit(
-        solution[1:4], covariance[1:4, 1:4], periods, recording.command.setpoints.virtual_precession_v, np.asarray(drive[:3], dtype=float)
+        solution[:3], covariance[:3, :3], periods, recording.command.setpoints.virtual_precession_v, np.asarray(drive[:3], dtype=float)
     )
 
 
@@ -123,13 +127,23 @@ def _harmonics(angle: FloatArray, count: int) -> FloatArray:
     return np.column_stack([np.ones_like(angle), *waves])
 
 
+def _steps(values: FloatArray) -> FloatArray:
+    """Steps between the means of neighbouring blocks: forces make the angle walk at random, so that only its steps are independent."""
+    width = max(1, len(values) // _BLOCKS)
+    count = len(values) // width
+    return np.diff(values[: count * width].reshape(count, width, *values.shape[1:]).mean(axis=1), axis=0)
+
+
 def _correlated(design: FloatArray, residual: FloatArray) -> FloatArray:
-    """Covariance of a least-squares solution whose residuals are correlated: sums over blocks of rows stand for single rows."""
-    blocks = min(24, max(2 * design.shape[1], 8))
+    """Covariance of a least-squares solution whose residuals are correlated with their neighbours (they share a block)."""
     inverse = np.linalg.inv(design.T @ design)
-    scores = np.array([part.T @ left for part, left in zip(np.array_split(design, blocks), np.array_split(residual, blocks), strict=True)])
-    spare = blocks / max(blocks - design.shape[1], 1)
-    return np.asarray(spare * inverse @ (scores.T @ scores) @ inverse)
+    scores = design * residual[:, None]
+    total = scores.T @ scores
+    for lag in (1, 2):
+        near = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / 3.0) * (near + near.T)
+    spare = len(residual) / max(len(residual) - design.shape[1], 1)
+    return np.asarray(spare * inverse @ total @ inverse)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,15 @@ from ..device.operating_point import OperatingPoint, ftr_operating_point
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Campaign, Recording
+from .feedthrough_check import check_feedthrough
 from .linear_fit import NoiseModel
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
-from .slow_flow_data import TEMPERATURE_WINDOW_K, usable_recordings
+from .slow_flow_data import SLOPE_WINDOW_K, resonance_motion, usable_recordings
 from .slow_flow_estimate import SlowFlowEstimate
 from .slow_flow_fit import fit_slow_flow
 
-__all__ = ["SidebandProblem", "calibrate_sideband"]
+__all__ = ["FIGURES", "SidebandProblem", "angular_gain", "calibrate_sideband"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,7 +39,7 @@ def calibrate_sideband(
     priors: Priors | None = None,
     on_progress: Callable[[float], None] | None = None,
     with_convergence: bool = True,
-    temperature_window_k: float = TEMPERATURE_WINDOW_K,
+    temperature_window_k: float = SLOPE_WINDOW_K,
 ) -> CalibrationResult:
     """Estimate rate, bias and scale factor of a force-rebalance gyro that was not turned.
 
@@ -59,24 +61,33 @@ def calibrate_sideband(
     CalibrationRefused
         The recordings do not support the estimate; the text says what to record.
     """
-    kappa = campaign.factory.get("angular_gain_kappa")
-    if not isinstance(kappa, int | float) or not kappa > 0:
-        raise CalibrationRefused(
-            f"Factory data must hold a positive angular_gain_kappa, but got {kappa!r}. "
-            "No self-calibration sees it: take it from the factory."
-        )
+    kappa = angular_gain(campaign.factory)
     priors = priors or Priors()
     recordings, skipped = usable_recordings(campaign, temperature_window_k)
     if not recordings:
         raise CalibrationRefused("Campaign must hold force-rebalance recordings (ftr_x and ftr_y), but got none.")
-    problem = SidebandProblem(recordings, campaign.factory, float(kappa), priors)
+    problem = SidebandProblem(recordings, campaign.factory, kappa, priors)
     values, covariance = problem.solve()
     if on_progress is not None:
         on_progress(0.5)
     convergence: tuple[ConvergencePoint, ...] = ()
     if with_convergence:
-        convergence = _convergence(recordings, campaign.factory, float(kappa), priors, on_progress)
-    return problem.result(campaign.device_id, values, covariance, tuple(skipped), convergence)
+        convergence = _convergence(recordings, campaign.factory, kappa, priors, on_progress)
+    result = problem.result(campaign.device_id, values, covariance, tuple(skipped), convergence)
+    check = check_feedthrough(recordings, problem.fit)
+    warnings = result.warnings if check.consistent else (*result.warnings, check.verdict)
+    return replace(result, feedthrough=check, warnings=warnings)
+
+
+def angular_gain(factory: Mapping[str, Any]) -> float:
+    """Kappa of the factory data; refuses without."""
+    kappa = factory.get("angular_gain_kappa")
+    if not isinstance(kappa, int | float) or not kappa > 0:
+        raise CalibrationRefused(
+            f"Factory data must hold a positive angular_gain_kappa, but got {kappa!r}. "
+            "No self-calibration sees it: take it from the factory."
+        )
+    return float(kappa)
 
 
 @dataclass(frozen=True)
@@ -164,16 +175,29 @@ class SidebandProblem:
 
     def solve(self) -> tuple[_Derived, FloatArray]:
         """Derived values and their covariance: measured noise (scaled up when the model does not fit) and priors."""
+        here, parts = self._solved
+        return here, np.asarray(sum(parts.values()))
+
+    @cached_property
+    def _solved(self) -> tuple[_Derived, dict[str, FloatArray]]:
+        return self.covariances(self._parameter_covariance())
+
+    def _parameter_covariance(self) -> FloatArray:
         dof = max(self.fit.dof, 1)
         reduced = self.fit.chi2 / dof
         # a chi-square within chance of one says nothing against the measured noise
         scale = reduced if reduced > 1.0 + 2.0 * math.sqrt(2.0 / dof) else 1.0
-        return self.propagate(scale * self.fit.covariance)
+        return np.asarray(scale * self.fit.covariance)
 
     def propagate(self, parameter_covariance: FloatArray) -> tuple[_Derived, FloatArray]:
         """Derived values and their covariance under a covariance of the parameter vector, priors added, by central differences."""
+        here, parts = self.covariances(parameter_covariance)
+        return here, np.asarray(sum(parts.values()))
+
+    def covariances(self, parameter_covariance: FloatArray) -> tuple[_Derived, dict[str, FloatArray]]:
+        """Derived values, and their covariance by where it comes from: the noise of the recordings and each prior."""
         vector = self.fit.vector()
-        zero = np.zeros(NUISANCES)
+        zero = np.zeros(len(NUISANCES))
         here = self.derive(vector, zero)
         sd = np.sqrt(np.diag(parameter_covariance))
         columns = []
@@ -182,13 +206,24 @@ class SidebandProblem:
             step[i] = sd[i]
             columns.append((self.derive(vector + step, zero).values - self.derive(vector - step, zero).values) / (2.0 * sd[i]))
         jacobian = np.column_stack(columns)
-        covariance = jacobian @ parameter_covariance @ jacobian.T
-        for i in range(NUISANCES):
-            step = np.zeros(NUISANCES)
+        parts = {"noise of the recordings": np.asarray(jacobian @ parameter_covariance @ jacobian.T)}
+        for i, name in enumerate(NUISANCES):
+            step = np.zeros_like(zero)
             step[i] = 1.0
             slope = 0.5 * (self.derive(vector, step).values - self.derive(vector, -step).values)
-            covariance += np.outer(slope, slope)
-        return here, covariance
+            parts[name] = np.outer(slope, slope)
+        return here, parts
+
+    def limits(self) -> dict[str, dict[str, float]]:
+        """Share of the variance of rate, bias and scale factors by where it comes from, the largest first; from 1 % on."""
+        here, parts = self._solved
+        found = {}
+        for name in FIGURES:
+            k = here.names.index(name)
+            whole = sum(float(part[k, k]) for part in parts.values())
+            shares = {source: float(part[k, k]) / whole for source, part in parts.items()}
+            found[name] = {source: share for source, share in sorted(shares.items(), key=lambda item: -item[1]) if share >= 0.01}
+        return found
 
     def result(
         self, device_id: str, derived: _Derived, covariance: FloatArray, skipped: tuple[str, ...], convergence: tuple[ConvergencePoint, ...]
@@ -225,6 +260,7 @@ class SidebandProblem:
             warnings=warnings,
             table=self.fit.table,
             convergence=convergence,
+            limits=self.limits(),
         )
 
     def _noise_density(self, oscillator: str, scale: float) -> Quantity:
@@ -253,8 +289,9 @@ class SidebandProblem:
                 not_observable.append(f"{name}: known to {found:.1e} only, {limit:.0e} is needed; {remedy}")
         if derived.frame.prior_share[1] > 0.5:
             not_observable.append("pickoff_non_orthogonality: from its prior; needs cross stiffness and a frequency split along the axes")
-        if not self.fit.has_feedthrough:
-            warnings.append("feedthrough E was not measured and is taken as zero: record open drive off resonance (run_feedthrough)")
+        if not (self.fit.has_feedthrough and self.fit.feedthrough_measured):
+            share = "what may be of it is in the standard deviations" if self.fit.has_feedthrough else "it is taken as zero"
+            warnings.append(f"feedthrough E was not measured, {share}: record open drive off resonance (run_feedthrough)")
         reduced = self.fit.chi2 / max(self.fit.dof, 1)
         if reduced > _CHI2_WARN:
             warnings.append(
@@ -270,8 +307,18 @@ class SidebandProblem:
         return tuple(not_observable), tuple(warnings)
 
 
-#: priors that enter the covariance: n, rho, r, eps, drive-gain ratio; kappa and the fixed rate difference of the factory
-NUISANCES = 7
+#: priors that enter the covariance, in the order of ``nuisance``: n, rho, r, eps, drive-gain ratio; kappa and the factory's rate difference
+NUISANCES = (
+    "non-orthogonality of the pick-offs (prior)",
+    "rotation of the body's force (prior)",
+    "ratio of the pick-offs (prior)",
+    "phase of the pick-offs (prior)",
+    "constancy of the factory's drive-gain ratio (prior)",
+    "angular gain of the factory",
+    "rate difference of the factory",
+)
+#: what a calibration is for, as named by :meth:`SidebandProblem.derive`
+FIGURES = ("rate", "bias_x", "bias_y", "scale_x", "scale_y")
 
 
 def _line(
@@ -298,8 +345,13 @@ def _main_amplitude(recordings: list[Recording]) -> float:
 
 
 def _reference(recordings: list[Recording], axis: str) -> float:
-    """Mean reference frequency of an oscillator axis [rad/s]."""
-    return float(np.mean([r.ref_omega_rad_s.mean() for r in recordings if r.command.oscillator_axis == axis]))
+    """Mean reference frequency of an oscillator axis at the mean temperature of the campaign [rad/s].
+
+    In a campaign that drifts, the axis that came first was warmer or colder than the mean that the estimate is for: 25 ppm at 5 K.
+    """
+    slope, middle, _ = resonance_motion(recordings)
+    own = [r for r in recordings if r.command.oscillator_axis == axis]
+    return float(np.mean([r.ref_omega_rad_s.mean() - (slope or 0.0) * (r.temperature_degc.mean() - middle) for r in own]))
 
 
 def _held_volts(recordings: list[Recording], axis: str, amplitude: float) -> ComplexArray | None:

@@ -12,13 +12,15 @@ from ..recording.recording import Campaign, Recording
 from .linear_fit import AXES
 from .projection import Projected, project
 
-__all__ = ["TEMPERATURE_WINDOW_K", "CampaignData", "role_of", "usable_recordings"]
+__all__ = ["SLOPE_WINDOW_K", "TEMPERATURE_WINDOW_K", "CampaignData", "resonance_motion", "role_of", "usable_recordings"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 #: recordings further than this from the median temperature are left out of the fit [K]
 TEMPERATURE_WINDOW_K = 0.5
+#: the same where the slopes with temperature are fitted: what is not linear in 3 K is below 1e-4 of the damping
+SLOPE_WINDOW_K = 3.0
 #: resonance wander when no repeated record tells [rad/s]: a millikelvin of silicon at 15 kHz
 _WANDER_RAD_S = 2.5e-3
 #: below this span the reference frequency is not regressed on temperature [K]
@@ -30,7 +32,7 @@ def usable_recordings(campaign: Campaign, window_k: float = TEMPERATURE_WINDOW_K
     wanted = [r for r in campaign if r.command.mode in ("ftr_x", "ftr_y") or _is_open(r)]
     skipped = []
     chosen = []
-    median = float(np.median([r.temperature_degc.mean() for r in wanted])) if wanted else math.nan
+    median = _median_temperature([r for r in wanted if np.ptp(r.temperature_degc) <= 2.0 * window_k] or wanted)
     for r in wanted:
         temperature = r.temperature_degc
         if "applied_rate" in r.extras:
@@ -44,43 +46,59 @@ def usable_recordings(campaign: Campaign, window_k: float = TEMPERATURE_WINDOW_K
     return chosen, skipped
 
 
+def _median_temperature(recordings: list[Recording]) -> float:
+    """Median over the time recorded, not over the records: many short ones at the beginning of a drift would draw it there."""
+    if not recordings:
+        return math.nan
+    means = np.array([r.temperature_degc.mean() for r in recordings])
+    order = np.argsort(means)
+    share = np.cumsum(np.array([r.duration_s for r in recordings])[order])
+    return float(means[order][np.searchsorted(share, 0.5 * share[-1])])
+
+
 @dataclass(frozen=True)
 class CampaignData:
-    """Projected recordings at the lines of interest and at quiet lines; ``wander_rad_s``: how the resonance moves between records."""
+    """Projected recordings at the lines of interest and at quiet lines.
+
+    ``wander_rad_s``: how the resonance moves between records; ``stiffness_per_k``: how the stiffness moves with temperature, relative, None
+    when the temperature moved too little to tell; ``feedthrough_measured``: whether open drive shows E.
+    """
 
     recordings: list[Recording]
     omega0: float
     wander_rad_s: float
-    has_feedthrough: bool
+    stiffness_per_k: float | None
+    feedthrough_measured: bool
     bodies: list[float]
     signal: list[Projected]
     quiet: list[Projected]
 
     @classmethod
-    def of(cls, recordings: list[Recording], decay_rate: float) -> CampaignData:
+    def of(cls, recordings: list[Recording], decay_rate: float, *, with_quiet: bool = True) -> CampaignData:
+        """Project the recordings; without quiet lines, which take most of the time, where the noise is not asked for."""
         omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in recordings if r.command.oscillator_axis]))
-        slope, middle, wander = _resonance_motion(recordings)
+        slope, middle, wander = resonance_motion(recordings)
 
-        def shift(recording: Recording) -> FloatArray:
-            return slope * (recording.temperature_degc - middle)
+        def projected(recording: Recording, lines: list[float]) -> Projected:
+            warmth = recording.temperature_degc - middle
+            return project(recording, lines, omega0, decay_rate, (slope or 0.0) * warmth, warmth)
 
         return cls(
             recordings=recordings,
             omega0=omega0,
             wander_rad_s=wander,
-            has_feedthrough=any(r.command.excitation.kind == "drive" for r in recordings),
+            stiffness_per_k=None if slope is None else 2.0 * slope / omega0,
+            feedthrough_measured=any(r.command.excitation.kind == "drive" for r in recordings),
             bodies=sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"}),
-            signal=[project(r, _lines(r), omega0, decay_rate, shift(r)) for r in recordings],
-            quiet=[project(r, _quiet_lines(r), omega0, decay_rate, shift(r)) for r in recordings],
+            signal=[projected(r, _lines(r)) for r in recordings],
+            quiet=[projected(r, _quiet_lines(r)) for r in recordings] if with_quiet else [],
         )
 
     def columns(self, projected: list[Projected], *, cubic: bool) -> list[ComplexArray]:
-        """Regressors of every recording: V, u, L[u] when E is sought, the body's volts by frequency, |V|^2 V when asked."""
+        """Regressors of every recording: V, u, L[u], the body's volts by frequency, |V|^2 V when asked."""
         columns = []
         for p, r in zip(projected, self.recordings, strict=True):
-            parts = [p.pick, p.drive]
-            if self.has_feedthrough:
-                parts.append(p.drive_rate)
+            parts = [p.pick, p.drive, p.drive_rate]
             parts += [(p.body * (r.command.excitation.frequency_hz == f))[:, None] for f in self.bodies]
             if cubic:
                 parts.append(p.cubic)
@@ -88,10 +106,10 @@ class CampaignData:
         return columns
 
 
-def _resonance_motion(recordings: list[Recording]) -> tuple[float, float, float]:
+def resonance_motion(recordings: list[Recording]) -> tuple[float | None, float, float]:
     """How the resonance moves, from the closed-loop reference frequencies.
 
-    Returns its slope with temperature [rad/s/K] (zero when the temperature hardly moved: then its wander says nothing), the mean
+    Returns its slope with temperature [rad/s/K] (None when the temperature hardly moved: then its wander says nothing), the mean
     temperature, and the standard deviation of what the slope does not explain [rad/s]. They bring the loops-off records, whose reference
     does not follow the resonance, to where the resonance was, and say how well.
     """
@@ -109,7 +127,7 @@ def _resonance_motion(recordings: list[Recording]) -> tuple[float, float, float]
     left = omega - design @ solution
     spare = len(loops) - design.shape[1]
     wander = math.sqrt(float(left @ left) / spare) if spare > 0 else _WANDER_RAD_S
-    return (float(solution[-1]) if moved else 0.0), middle, max(wander, 1e-4)
+    return (float(solution[-1]) if moved else None), middle, max(wander, 1e-4)
 
 
 def _is_open(recording: Recording) -> bool:

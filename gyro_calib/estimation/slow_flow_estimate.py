@@ -73,7 +73,7 @@ class SlowFlowEstimate:
     covariance : ndarray, shape (n, n)
         Of the real parameter vector, see :meth:`vector`.
     has_feedthrough, has_cubic : bool
-        E was measured (otherwise zero); the cubic terms were fitted (otherwise zero).
+        E was fitted (otherwise zero); the cubic terms were fitted (otherwise zero).
     cubic_gain : float
         How much chi-square the four cubic terms of both axes take away (0 when they were not tried).
     omega0_rad_s, temperature_degc, temperature_sd_k : float
@@ -84,6 +84,8 @@ class SlowFlowEstimate:
         (axis, role, part) -> NoiseModel.
     table : tuple of TableRow
         The data table.
+    feedthrough_measured : bool
+        Open drive shows E; otherwise it is fitted under a prior about zero.
     """
 
     values: SlowFlowParameters
@@ -99,6 +101,7 @@ class SlowFlowEstimate:
     condition_number: float
     noise: dict[tuple[str, str, str], NoiseModel]
     table: tuple[TableRow, ...]
+    feedthrough_measured: bool = True
 
     def vector(self) -> FloatArray:
         """Real parameters per axis: A_ax, A_ay, G~_ax, G~_ay, (E_ax, E_ay), (H_a per body frequency), (c_ax, c_ay), each (re, im)."""

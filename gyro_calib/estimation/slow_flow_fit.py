@@ -19,17 +19,18 @@ from ..recording.recording import Recording
 from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noise
 from .slow_flow_data import CampaignData, role_of
 from .slow_flow_estimate import SlowFlowEstimate, SlowFlowParameters, TableRow
+from .thermal_terms import THERMAL_TERMS, ThermalTerms
 
-__all__ = ["fit_slow_flow"]
+__all__ = ["campaign_equations", "fit_slow_flow"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _ROUNDS = 2
-#: a decay rate that is further off than this is corrected and the recordings are projected again
-_DECAY_TOLERANCE = 0.005
 #: fewer carrier lines of one role say nothing of the scatter between records
 _FEWEST_RUNS = 4
+#: how large a feedthrough may be that was never measured (bad trim of the drive lines); its place among the columns
+_FEEDTHROUGH_SD, _FEEDTHROUGH = 1e-3, slice(4, 6)
 #: real cubic parameters of both axes
 _CUBIC_TERMS = 8
 
@@ -66,61 +67,81 @@ def fit_slow_flow(
                 f"Recordings must include mode {mode}, but got {', '.join(sorted({r.command.mode for r in recordings})) or 'none'}. "
                 "Both axes must be the oscillator once: record the same side bands with the axes swapped."
             )
-    data = CampaignData.of(recordings, decay_rate)
-    # C p'/(2 i omega0) turns G by 1/(2Q): a Q that is 8 % off its nominal value is 1.3 ppm, as much as the noise
-    found = _decay_rate(data)
-    if abs(found / decay_rate - 1.0) > _DECAY_TOLERANCE if decay_rate > 0 else found > 0:
-        data = CampaignData.of(recordings, found)
+    # C p'/(2i omega0) turns G by 1/(2Q): a Q that is 8 % off its nominal value is 1.3 ppm, as much as the noise
+    A, G = _rough_flow(CampaignData.of(recordings, decay_rate, with_quiet=False))
+    found = -0.5 * float((A[0, 0] + A[1, 1]).real)
+    data = CampaignData.of(recordings, found if found > 0 else decay_rate)
+    thermal = None if data.stiffness_per_k is None else ThermalTerms.of(A, G, data.stiffness_per_k)
     if cubic is None:
-        plain = _fit(data, cubic=False, noise=noise)
+        plain = _fit(data, thermal, cubic=False, noise=noise)
         amplitudes = {round(r.command.setpoints.amplitude_v, 9) for r in recordings if r.command.oscillator_axis}
         if len(amplitudes) < 3:
             return plain
         # both fits are weighed with the noise of the richer one: the poorer one's misfit leaks into its own noise estimate
-        rich = _fit(data, cubic=True, noise=noise)
-        poor = _fit(data, cubic=False, noise=rich.noise)
+        rich = _fit(data, thermal, cubic=True, noise=noise)
+        poor = _fit(data, thermal, cubic=False, noise=rich.noise)
         gain = poor.chi2 - rich.chi2
         ratio = (gain / _CUBIC_TERMS) / (rich.chi2 / max(rich.dof, 1))
         asked = ratio > fdtri(_CUBIC_TERMS, max(rich.dof, 1), 1.0 - 1e-3)
         return replace(rich if asked else plain, cubic_gain=gain)
-    return _fit(data, cubic=cubic, noise=noise)
+    return _fit(data, thermal, cubic=cubic, noise=noise)
 
 
-def _decay_rate(data: CampaignData) -> float:
-    """Mean 1/tau [1/s] of a first, unweighted fit."""
+def _rough_flow(data: CampaignData) -> tuple[ComplexArray, ComplexArray]:
+    """A and G~ of a first, unweighted fit."""
     flat = NoiseModel((1.0, 0.0, 0.0), 0.01)
     columns = data.columns(data.signal, cubic=False)
-    rates = []
+    rows = []
     for axis in range(2):
         roles = [role_of(r, axis, data.omega0) for r in data.recordings]
         models = {(role, part): flat for role in set(roles) for part in ("re", "im")}
-        rates.append(-float(fit_axis(_equations(data, columns, roles, axis, models)).coefficients[axis].real))
-    return 0.5 * (rates[0] + rates[1])
+        rows.append(fit_axis(campaign_equations(data, columns, roles, axis, models) + _feedthrough_prior(data, columns)).coefficients)
+    found = np.array(rows)
+    return found[:, 0:2], found[:, 2:4]
 
 
-def _fit(data: CampaignData, *, cubic: bool, noise: Mapping[tuple[str, str, str], NoiseModel] | None = None) -> SlowFlowEstimate:
-    """Both axes, with the noise measured along the way or given."""
-    columns, quiet_columns = data.columns(data.signal, cubic=cubic), data.columns(data.quiet, cubic=cubic)
+def _fit(
+    data: CampaignData, thermal: ThermalTerms | None, *, cubic: bool, noise: Mapping[tuple[str, str, str], NoiseModel] | None = None
+) -> SlowFlowEstimate:
+    """Both axes, with the noise measured along the way or given; what moves with temperature beside them, when it moved."""
     fits: list[LinearFit] = []
     found: dict[tuple[str, str, str], NoiseModel] = dict(noise or {})
     for axis in range(2):
+        columns, quiet_columns = data.columns(data.signal, cubic=cubic), data.columns(data.quiet, cubic=cubic)
+        known: list[Equation] = []
+        if thermal is not None:
+            columns = [np.hstack([c, thermal.columns(p, axis)]) for c, p in zip(columns, data.signal, strict=True)]
+            quiet_columns = [np.hstack([c, thermal.columns(p, axis)]) for c, p in zip(quiet_columns, data.quiet, strict=True)]
+            known = [thermal.prior(axis, columns[0].shape[1])]
+        known += _feedthrough_prior(data, columns)
         roles = [role_of(r, axis, data.omega0) for r in data.recordings]
         flat = NoiseModel((1.0, 0.0, 0.0), 0.01)
         models = {(role, part): found.get((AXES[axis], role, part), flat) for role in set(roles) for part in ("re", "im")}
-        fit = fit_axis(_equations(data, columns, roles, axis, models))
+        fit = fit_axis(campaign_equations(data, columns, roles, axis, models) + known)
         for _ in range(0 if noise else _ROUNDS):
             models = _measure_noise(data, quiet_columns, roles, axis, fit.coefficients)
-            fit = fit_axis(_equations(data, columns, roles, axis, models))
+            fit = fit_axis(campaign_equations(data, columns, roles, axis, models) + known)
             models = _run_to_run(data, roles, models, fit)
-            fit = fit_axis(_equations(data, columns, roles, axis, models))
+            fit = fit_axis(campaign_equations(data, columns, roles, axis, models) + known)
         fits.append(fit)
         found |= {(AXES[axis], role, part): model for (role, part), model in models.items()}
     return _assemble(data, fits, found, cubic=cubic)
 
 
-def _equations(
-    data: CampaignData, columns: list[ComplexArray], roles: list[str], axis: int, models: dict[tuple[str, str], NoiseModel]
+def _feedthrough_prior(data: CampaignData, columns: list[ComplexArray]) -> list[Equation]:
+    """E about zero, where no open drive shows it: the side bands alone tell it from the drive gains by frequency only."""
+    if data.feedthrough_measured:
+        return []
+    regressors = np.zeros((2, columns[0].shape[1]), dtype=complex)
+    regressors[:, _FEEDTHROUGH] = np.eye(2)
+    sd = np.full(2, _FEEDTHROUGH_SD)
+    return [Equation(np.zeros(2, dtype=complex), regressors, np.eye(2), sd, sd)]
+
+
+def campaign_equations(
+    data: CampaignData, columns: list[ComplexArray], roles: list[str], axis: int, models: Mapping[tuple[str, str], NoiseModel]
 ) -> list[Equation]:
+    """The equations of one axis: each recording's rows with its columns, its noise and its own resonance shift."""
     equations = []
     for p, c, role in zip(data.signal, columns, roles, strict=True):
         detuning, detuning_sd = None, math.inf
@@ -182,16 +203,19 @@ def _run_to_run(
 
 
 def _assemble(data: CampaignData, fits: list[LinearFit], noise: dict[tuple[str, str, str], NoiseModel], *, cubic: bool) -> SlowFlowEstimate:
-    vector = np.concatenate([f.coefficients for f in fits]).view(np.float64)
-    size = fits[0].covariance.shape[0]
+    # the slopes with temperature are nuisances: what the estimate is for is the mean temperature
+    count = fits[0].coefficients.size - (THERMAL_TERMS if data.stiffness_per_k is not None else 0)
+    vector = np.concatenate([f.coefficients[:count] for f in fits]).view(np.float64)
+    size = 2 * count
     covariance = np.zeros((2 * size, 2 * size))
-    covariance[:size, :size], covariance[size:, size:] = fits[0].covariance, fits[1].covariance
+    covariance[:size, :size], covariance[size:, size:] = fits[0].covariance[:size, :size], fits[1].covariance[:size, :size]
     temperatures = np.array([r.temperature_degc.mean() for r in data.recordings if r.command.oscillator_axis])
     blank = SlowFlowParameters(*(np.zeros((2, 2), dtype=complex) for _ in range(5)))
     estimate = SlowFlowEstimate(
         values=blank,
         covariance=covariance,
-        has_feedthrough=data.has_feedthrough,
+        has_feedthrough=True,
+        feedthrough_measured=data.feedthrough_measured,
         has_cubic=cubic,
         cubic_gain=0.0,
         omega0_rad_s=data.omega0,

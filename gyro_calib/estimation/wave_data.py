@@ -23,6 +23,8 @@ ComplexArray = NDArray[np.complex128]
 #: noise of a recording (its index) in a channel
 Noise = dict[tuple[int, str], NoiseModel]
 Excess = dict[tuple[int, str], float]
+#: lines [Hz], slopes of the test functions there [Hz], squared residuals
+Samples = tuple[FloatArray, FloatArray, FloatArray]
 _FLAT = NoiseModel((1.0, 0.0, 0.0), 1.0)
 #: noise before it is known: what matters is that the resonance wanders by far more than the rest is uncertain
 _UNKNOWN = {"frequency": NoiseModel((1e6, 0.0, 0.0), 1.0)}
@@ -32,13 +34,19 @@ _COMMON = 0.3
 _BETWEEN = 4.6
 #: below this span the resonance is not regressed on temperature [K]; how far it wanders at least [rad/s]
 _TEMPERATURE_SPAN_K, _LEAST_WANDER_RAD_S = 0.1, 1e-3
+#: an equation of which the fit leaves less of its noise than this says nothing of it
+_LEAST_SHARE = 0.2
+#: wander of the gain before a fit has shown it, relative
+_GAIN_WANDER, _LEAST_GAIN_WANDER = 1e-6, 1e-9
+#: recordings that show how it wanders
+_LEAST_RECORDINGS = 4
 
 
 @dataclass(frozen=True)
 class _Wander(NoiseModel):
     """A resonance that walks at random: density ``c_0/f^2``, which no quiet line may be taken to end."""
 
-    def density(self, frequency_hz: FloatArray) -> FloatArray:
+    def density(self, frequency_hz: FloatArray, slope_hz: FloatArray | None = None) -> FloatArray:
         return np.asarray(self.coefficients[0] / np.maximum(np.abs(frequency_hz), self.lowest_hz) ** 2)
 
     @classmethod
@@ -58,6 +66,8 @@ class WaveData:
         Mean reference frequency of the closed loops [rad/s].
     wander : float
         How the resonance moves between recordings [rad/s].
+    gain_wander : float
+        How the gain of the drives does, relative: their temperature, their supply.
     base : Layout
         Unknowns without cubic terms.
     signal, quiet : list of WaveProjected
@@ -66,6 +76,7 @@ class WaveData:
     recordings: list[Recording]
     omega0: float
     wander: float
+    gain_wander: float
     base: Layout
     signal: list[WaveProjected]
     quiet: list[WaveProjected]
@@ -90,32 +101,52 @@ class WaveData:
             lines = signal_lines(r, products.speed_rad_s)
             signal.append(products.project(lines))
             quiet.append(products.project(quiet_lines(r, max(lines), products.speed_rad_s)))
-        return cls(recordings, omega0, wander, Layout.of(recordings, omega0, _farthest(signal)), signal, quiet)
+        return cls(recordings, omega0, wander, _GAIN_WANDER, Layout.of(recordings, omega0, _farthest(signal)), signal, quiet)
 
     def subset(self, indices: list[int]) -> WaveData:
         """The same for some of the recordings."""
         recordings = [self.recordings[i] for i in indices]
         signal, quiet = ([projected[i] for i in indices] for projected in (self.signal, self.quiet))
-        return WaveData(recordings, self.omega0, self.wander, Layout.of(recordings, self.omega0, _farthest(signal)), signal, quiet)
+        return WaveData(
+            recordings, self.omega0, self.wander, self.gain_wander, Layout.of(recordings, self.omega0, _farthest(signal)), signal, quiet
+        )
 
-    def solve(self, layout: Layout, noise: Noise, excess: Excess, before: LinearFit | None, flicker: float = 0.0) -> LinearFit:
-        """Weighted least squares; A and E of ``before`` enter the small corrections, ``flicker`` is by how much the force that does not
-        follow the wave differs between recordings [V/s].
+    def with_wander(self, solution: LinearFit) -> WaveData:
+        """The same with the wander that a fit shows: what it leaves to each closed-loop recording, over the number of those that say
+        anything beyond the wander it assumed (MacKay's fixed point of the evidence).
+
+        The frequencies themselves would show what drives them too (stiffness control, the split along the azimuth), and an open drive's
+        distance from resonance, with it the feedthrough, would seem unknown.
+        """
+        own = np.array([d[[0, 2]] for d, r in zip(solution.detunings, self.recordings, strict=True) if in_wave_frame(r)])
+        if len(own) < _LEAST_RECORDINGS:
+            return self
+        assumed = np.array([self.wander, self.gain_wander])
+        told = np.sum(np.maximum(1.0 - (own[:, :, 1] / assumed) ** 2, 0.0), axis=0)
+        factor = np.sqrt(np.sum((own[:, :, 0] / assumed) ** 2, axis=0) / np.maximum(told, 1e-3))
+        wander, gain = assumed * np.clip(factor, 0.3, 3.0)
+        return replace(self, wander=max(float(wander), _LEAST_WANDER_RAD_S), gain_wander=max(float(gain), _LEAST_GAIN_WANDER))
+
+    def solve(self, layout: Layout, noise: Noise, excess: Excess, last: LinearFit | None, flicker: float = 0.0) -> LinearFit:
+        """Weighted least squares; A, G and E of a round before (``last``) enter the small corrections, ``flicker`` is by how much the force
+        that does not follow the wave differs between recordings [V/s].
         """
         equations = []
+        spread = np.array([self.wander, self.wander, self.gain_wander])
+        before = None if last is None else last.coefficients
         for i, (p, r) in enumerate(zip(self.signal, self.recordings, strict=True)):
             sd = self.deviations(i, noise, excess)
             equations.append(
                 Equation(
                     lhs=p.lhs,
-                    regressors=_regressors(layout, p, r, before),
+                    regressors=layout.regressors(p, r, before),
                     gram=p.gram,
                     sd_re=sd.real,
                     sd_im=sd.imag,
-                    # every resonance is its own, near that of the others; the wave's also moves steadily
-                    detuning=p.resonance if in_wave_frame(r) else p.resonance[:, :1],
-                    detuning_sd=self.wander,
-                    common=self._common(i, flicker),
+                    # every resonance is its own, near that of the others; the wave's also moves steadily, and its drives' gain wanders
+                    detuning=np.column_stack([p.resonance, layout.pushed(p, before)]) if in_wave_frame(r) else p.resonance[:, :1],
+                    detuning_sd=spread if in_wave_frame(r) else self.wander,
+                    covariance=self.covariance(i, noise, excess, flicker),
                 )
             )
         return fit_axis(equations)
@@ -136,11 +167,8 @@ class WaveData:
         common = self._common(index, flicker)
         if common is None:
             return left
-        sd, gram = self.deviations(index, noise, excess), self.signal[index].gram
-        re, im = (
-            part - common @ np.linalg.solve(gram * np.outer(s, s) + common, part)
-            for part, s in ((left.real, sd.real), (left.imag, sd.imag))
-        )
+        total = self.covariance(index, noise, excess, flicker)
+        re, im = (part - common @ np.linalg.solve(c, part) for part, c in zip((left.real, left.imag), total, strict=True))
         return np.asarray(re + 1j * im)
 
     def flicker(self, noise: Noise, excess: Excess, solution: LinearFit) -> float:
@@ -177,24 +205,46 @@ class WaveData:
             parts = []
             for channel in CHANNELS[2 * k : 2 * k + 2]:
                 model = noise.get((index, channel), _UNKNOWN.get(channel, _FLAT))
-                density = model.density(p.frequency_hz[place])
+                density = model.density(p.frequency_hz[place], p.slope_hz[place])
                 parts.append(np.sqrt(density * excess.get((index, channel), 1.0)))
             sd[place] = parts[0] + 1j * parts[1]
         return sd
 
+    def covariance(
+        self, index: int, noise: Noise, excess: Mapping[tuple[int, str], float], flicker: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Covariance of the real parts of a recording's equations, and of their imaginary ones.
+
+        Pick-off noise enters by the slopes of the test functions: at the carrier line that is the rise of the window, which smoother sums
+        of several lines avoid. Counted by the frequency of the line alone, it would cost most of what a short recording says.
+        """
+        p = self.signal[index]
+        half, common = p.lhs.size // 2, self._common(index, flicker)
+        parts = []
+        for k in range(2):
+            flat, steep = np.empty(2 * half), np.empty(2 * half)
+            for side in range(2):
+                place, channel = slice(side * half, (side + 1) * half), CHANNELS[2 * side + k]
+                model, more = noise.get((index, channel), _UNKNOWN.get(channel, _FLAT)), excess.get((index, channel), 1.0)
+                flat[place] = np.sqrt(model.density(p.frequency_hz[place], np.zeros(half)) * more)
+                steep[place] = math.sqrt(model.coefficients[2] * more) / (2.0 * math.pi)
+            total = p.gram * np.outer(flat, flat) + p.slope_gram * np.outer(steep, steep)
+            parts.append(total if common is None else total + common)
+        return parts[0], parts[1]
+
     def quiet_noise(self, layout: Layout, solution: LinearFit) -> Noise:
         """Noise of each recording and channel at its quiet lines alone: what the signal's lines are judged by."""
         noise: Noise = {}
-        for i, (lines, left) in enumerate(self._quiet_residuals(layout, solution)):
+        for i, (lines, slopes, left) in enumerate(self._quiet_residuals(layout, solution)):
             lowest = 0.3 / self.recordings[i].duration_s
             for k, channel in enumerate(CHANNELS):
                 squares = _part(left, k) ** 2
                 if self._wanders(i, channel):
                     noise[i, channel] = _Wander.of(lines, squares, lowest)
                     continue
-                model = fit_noise(lines, squares, lowest)
-                # what grows with frequency at the quiet lines says nothing below them: there the noise is at least that of the lowest
-                floor = model.coefficients[2] * float(lines.min()) ** 2
+                model = fit_noise(lines, squares, lowest, slopes)
+                # what grows with frequency at the quiet lines hides what does not: as much may be there as they would not have shown
+                floor = _COMMON * model.coefficients[2] * float(lines.min()) ** 2
                 noise[i, channel] = replace(model, coefficients=(max(model.coefficients[0], floor), *model.coefficients[1:]))
         return noise
 
@@ -221,7 +271,7 @@ class WaveData:
             }
             for i, r in enumerate(self.recordings):
                 if self._wanders(i, channel):
-                    f, squares = samples[i, channel]
+                    f, _, squares = samples[i, channel]
                     found[i, channel] = _Wander.of(f, squares, 0.3 / r.duration_s)
                     continue
                 if "applied_rate" in r.extras:
@@ -231,33 +281,39 @@ class WaveData:
                 found[i, channel] = _not_below(roles[role_of(r)], common) if common and in_wave_frame(r) else roles[role_of(r)]
         return found
 
-    def _samples(
-        self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess, float]
-    ) -> dict[tuple[int, str], tuple[FloatArray, FloatArray]]:
-        """Lines and squared residuals of each recording and channel; of a wandering resonance at the quiet lines only."""
-        spare = solution.dof / max(2 * sum(left.size for left in solution.residuals), 1)
+    def _samples(self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> dict[tuple[int, str], Samples]:
+        """Lines, slopes and squared residuals of each recording and channel; of a wandering resonance at the quiet lines only."""
         quiet = self._quiet_residuals(layout, solution)
         samples = {}
         for i, (p, r) in enumerate(zip(self.signal, self.recordings, strict=True)):
-            lines, left = quiet[i]
+            lines, slopes, left = quiet[i]
             own = p.frequency_hz[: p.lhs.size // 2]
             low = own > 0.7 / r.duration_s
             clean = self.without_flicker(i, solution.residuals[i], *weights)
+            sd = self.deviations(i, weights[0], weights[1])
             for k, channel in enumerate(CHANNELS):
-                f, squares = lines, _part(left, k) ** 2
+                f, steep, squares = lines, slopes, _part(left, k) ** 2
                 if not self._wanders(i, channel):
-                    f = np.concatenate([f, own[low]])
-                    squares = np.concatenate([squares, _part(clean, k)[low] ** 2 / spare])
-                samples[i, channel] = (f, squares)
+                    # the lowest lines determine the unknowns, so that little of their noise is left to see
+                    share = 1.0 - _part(solution.explained[i], k) / _part(sd, k) ** 2
+                    seen = low & (share > _LEAST_SHARE)
+                    f = np.concatenate([f, own[seen]])
+                    steep = np.concatenate([steep, p.slope_hz[: own.size][seen]])
+                    squares = np.concatenate([squares, _part(clean, k)[seen] ** 2 / share[seen]])
+                samples[i, channel] = (f, steep, squares)
         return samples
 
     def _wanders(self, index: int, channel: str) -> bool:
         return channel == "frequency" and in_wave_frame(self.recordings[index])
 
-    def _quiet_residuals(self, layout: Layout, solution: LinearFit) -> list[tuple[FloatArray, ComplexArray]]:
-        """Lines and what the model leaves there, by recording."""
+    def _quiet_residuals(self, layout: Layout, solution: LinearFit) -> list[tuple[FloatArray, FloatArray, ComplexArray]]:
+        """Lines, slopes there, and what the model leaves, by recording."""
         return [
-            (p.frequency_hz[: p.lhs.size // 2], p.lhs - _regressors(layout, p, r, solution) @ solution.coefficients)
+            (
+                p.frequency_hz[: p.lhs.size // 2],
+                p.slope_hz[: p.lhs.size // 2],
+                p.lhs - layout.regressors(p, r, solution.coefficients) @ solution.coefficients,
+            )
             for p, r in zip(self.quiet, self.recordings, strict=True)
         ]
 
@@ -287,9 +343,10 @@ def _farthest(signal: list[WaveProjected]) -> float:
     return max((p.turn_rad for p in signal), default=0.0)
 
 
-def _pooled(samples: list[tuple[FloatArray, FloatArray]], longest_s: float) -> NoiseModel:
+def _pooled(samples: list[Samples], longest_s: float) -> NoiseModel:
     """One noise model of several recordings."""
-    return fit_noise(np.concatenate([f for f, _ in samples]), np.concatenate([squares for _, squares in samples]), 0.3 / longest_s)
+    lines, slopes, squares = (np.concatenate([s[k] for s in samples]) for k in range(3))
+    return fit_noise(lines, squares, 0.3 / longest_s, slopes)
 
 
 def _not_below(model: NoiseModel, common: NoiseModel) -> NoiseModel:
@@ -307,12 +364,9 @@ def _part(values: ComplexArray, channel: int) -> FloatArray:
     return np.asarray(own.real if channel % 2 == 0 else own.imag)
 
 
-def _regressors(layout: Layout, p: WaveProjected, recording: Recording, before: LinearFit | None) -> ComplexArray:
-    return layout.regressors(p, recording, None if before is None else before.coefficients)
-
-
 def _resonance_motion(closed: list[Recording]) -> tuple[float, float, float]:
     """Slope of the resonance with temperature [rad/s/K] (zero when it hardly moved), mean temperature, wander that is left [rad/s]."""
+    closed = [r for r in closed if r.command.mode != "stiffness"] or closed
     temperature = np.array([r.temperature_degc.mean() for r in closed])
     omega = np.array([r.ref_omega_rad_s.mean() for r in closed])
     middle, slope = float(temperature.mean()), 0.0

@@ -15,14 +15,17 @@ from .wave_terms import Term
 __all__ = ["Layout"]
 
 ComplexArray = NDArray[np.complex128]
+#: ratio of the farthest to the nearest open drive from which on a feedthrough and a resonance that moved look different
+_APART = 2.5
 
 
 @dataclass(frozen=True)
 class Layout:
     """Complex unknowns, in order: per axis a (A_ax, A_ay, G~_ax, G~_ay, E_ax, E_ay, body …), then as far as they are sought the response to
-    rate (xx, xy, yx, yy), then the nuisances: the force that does not follow the wave (2), the lag of the drive behind its record times
-    -G (4),
-    the change of E with frequency over the resonance's (4), the time shift of the table (4); last the cubic terms.
+    rate (xx, xy, yx, yy), then the nuisances: the force that does not follow the wave (2), the lag of the drives behind their record times
+    minus the mean gain (1),
+    the change of E with frequency over the resonance's (4), the shift of the resonance while the drives were open (1),
+    the time shift of the table (4); last the cubic terms.
 
     Parameters
     ----------
@@ -44,6 +47,8 @@ class Layout:
     dispersive : bool
         Open drive at two or more distances from resonance: a feedthrough that follows the frequency (a capacitor's, a converter's delay)
         shows, and would bend E if it were left out.
+    shifted : bool
+        Those distances differ in size: a resonance that had moved while the drives were open (all of those records share that) shows.
     terms : tuple of Term
     """
 
@@ -55,12 +60,14 @@ class Layout:
     lagging: bool = False
     jerked: bool = False
     dispersive: bool = False
+    shifted: bool = False
     terms: tuple[Term, ...] = ()
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], omega0_rad_s: float, turn_rad: float) -> Layout:
         """What these recordings can determine; ``turn_rad`` is the farthest that a wave turned in one of them."""
         open_drive = [r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "drive"]
+        away = [abs(f - omega0_rad_s / (2.0 * np.pi)) for f in open_drive]
         turned = [r for r in recordings if "applied_rate" in r.extras]
         return cls(
             omega0_rad_s=omega0_rad_s,
@@ -71,6 +78,7 @@ class Layout:
             lagging=any(r.command.mode != "loops_off" for r in recordings) and bool(open_drive),
             jerked=any(_changes(r) for r in turned),
             dispersive=len({round(f, 3) for f in open_drive}) > 1,
+            shifted=bool(away) and max(away) > _APART * min(away),
         )
 
     @property
@@ -86,13 +94,13 @@ class Layout:
 
     @property
     def lag(self) -> slice:
-        """Place of the lag of the drive times -G."""
+        """Place of the lag of the drives times minus the mean gain."""
         first = self.rate_response.stop + 2 * int(self.picked_up)
-        return slice(first, first + 4 * int(self.lagging))
+        return slice(first, first + int(self.lagging))
 
     def term(self, name: str) -> slice:
         """Place of a cubic term."""
-        first = self.lag.stop + 4 * int(self.dispersive) + 4 * int(self.jerked)
+        first = self.lag.stop + 4 * int(self.dispersive) + int(self.shifted) + 4 * int(self.jerked)
         for term in self.terms:
             if term.name == name:
                 return slice(first, first + len(term.coefficients))
@@ -127,16 +135,36 @@ class Layout:
             parts.append((0.0 if recording.command.mode == "loops_off" else 1.0) * p.constant)
         if self.lagging:
             # open drive is steady: nothing there tells its lag
-            parts.append((0.0 if recording.command.mode == "loops_off" else 1.0) * p.drive_slope.reshape(count, 4))
+            # a late drive pushes where it always does: along its own column of G
+            late = np.einsum("jab,ab->j", p.drive_slope, self._directions(before))[:, None]
+            parts.append((0.0 if recording.command.mode == "loops_off" else 1.0) * late)
         if self.dispersive:
             away = 0.0
             if excitation.kind == "drive":
                 away = 2.0 * np.pi * excitation.frequency_hz / self.omega0_rad_s - 1.0
             parts.append(away * p.drive_rate.reshape(count, 4))
+        if self.shifted:
+            parts.append((1j if excitation.kind == "drive" else 0.0) * p.resonance[:, :1])
         if self.jerked:
             parts.append(p.jerk.reshape(count, 4))
         parts += [term.columns(p.terms, A) for term in self.terms]
         return np.hstack(parts)
+
+    def pushed(self, p: WaveProjected, before: ComplexArray | None) -> ComplexArray:
+        """``-i G u`` of a round before, shape (equations,): what a gain that is a little off adds, as a recording's own real unknown."""
+        if before is None:
+            return np.asarray(1e-12 * p.drive[:, 0, 0])
+        A, E = self.flow(before)
+        G = before[: 2 * self.per_axis].reshape(2, -1)[:, 2:4] + A @ E
+        return np.asarray(-1j * np.einsum("jab,ab->j", p.drive, G))
+
+    def _directions(self, before: ComplexArray | None) -> ComplexArray:
+        """G over its mean size; of perfect drives without a round before."""
+        if before is None:
+            return np.asarray(-1j * np.eye(2), dtype=np.complex128)
+        A, E = self.flow(before)
+        G = before[: 2 * self.per_axis].reshape(2, -1)[:, 2:4] + A @ E
+        return np.asarray(G / np.abs(np.diag(G)).mean())
 
     def _known(self, before: ComplexArray | None) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """A, E and the cubic coefficients of the pick-offs from a round before; zero without one."""

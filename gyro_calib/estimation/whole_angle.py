@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Campaign
+from .compensation import CHAIN_NAMES, IdentifiedChain
 from .drive_chain import DriveChain
 from .gain_ratio import off_axis, ring_gain, scale_factor
 from .latency import loop_latency
@@ -28,6 +29,8 @@ FloatArray = NDArray[np.float64]
 _CHI2_WARN = 2.0
 _CONVERGENCE_POINTS = 4
 _AXES = ("x", "y")
+#: relative uncertainty of a drive gain from which on nothing is calibrated
+_WORST_GAIN = 0.05
 #: a ring-down counts for an axis when its wave was this near to it
 _NEAR_AXIS_RAD = 0.2
 
@@ -81,6 +84,7 @@ def calibrate_whole_angle(
     estimate = fit_wave_data(data)
     if on_progress is not None:
         on_progress(0.5)
+    _check_drives(estimate)
     latency = loop_latency(recordings)
     values = WholeAngleValues(
         estimate,
@@ -97,6 +101,18 @@ def calibrate_whole_angle(
         convergence = _convergence(data, campaign.factory, priors, amplitude, tuple(estimate.term_gains), on_progress)
     verdicts = _verdicts(estimate, values, derived, covariance, skipped)
     return _result(campaign, estimate, values, derived, covariance, latency, verdicts, convergence)
+
+
+def _check_drives(estimate: WholeAngleEstimate) -> None:
+    """Refuse recordings that say nothing of what a volt does: a wave that is merely held balances drive against damping at any scale."""
+    G, sd = estimate.flow.values.G, np.sqrt(np.diag(estimate.flow.covariance)).reshape(2, -1)
+    for axis in range(2):
+        relative = float(sd[axis, 2 * (2 + axis) + 1]) / abs(G[axis, axis])
+        if relative > _WORST_GAIN:
+            raise CalibrationRefused(
+                f"Recordings must excite the drives, but they leave the gain of {_AXES[axis]} uncertain by {100.0 * relative:.2g} %. "
+                "Record virtual precession of both senses, or ring-down and ring-up."
+            )
 
 
 def _stated_latency(factory: Mapping[str, Any]) -> Quantity:
@@ -124,6 +140,7 @@ def _result(
         return Quantity(float(derived.values[index[name]]), float(sd[index[name]]), unit_of(name))
 
     pick = [index["wave_bias"], index["wave_scale"]]
+    chain = [index[f"{name}_seen"] for name in CHAIN_NAMES]
     mission = MissionChannel(float(derived.values[pick[0]]), float(derived.values[pick[1]]), covariance[np.ix_(pick, pick)], unit="rad/s")
     left_out = ("rate", "bias_x", "bias_y", "scale_x", "scale_y")
     parameters = {name: q(name) for name in derived.names if name not in left_out}
@@ -153,6 +170,9 @@ def _result(
         warnings=verdicts[1],
         table=flow.table,
         convergence=convergence,
+        drive_chain=IdentifiedChain(DriveChain(*(float(derived.values[i]) for i in chain)), covariance[np.ix_(chain, chain)]),
+        axis_scale_covariance=float(covariance[index["scale_x"], index["scale_y"]]),
+        compensation=next(r for r in reversed(campaign.recordings) if r.command.mode == "whole_angle").command.compensation,
     )
 
 

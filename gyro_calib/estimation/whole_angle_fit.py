@@ -43,6 +43,8 @@ ComplexArray = NDArray[np.complex128]
 
 MODES = ("whole_angle", "ring_down", "ring_up", "stiffness", "ftr_x", "ftr_y")
 _ROUNDS = 5
+#: samples of the converters from which on a record of the drives counts as late
+_LATE = 0.75
 #: relative spread of the squared amplitude (or drive) from which on cubic terms show; chance of taking one up for nothing
 _AMPLITUDE_SPREAD, _CHANCE = 0.3, 1e-5
 #: beyond this condition number a cubic term cannot be told from the rest
@@ -147,15 +149,39 @@ def fit_whole_angle(
 
 def fit_wave_data(data: WaveData, terms: tuple[str, ...] | None = None) -> WholeAngleEstimate:
     """:func:`fit_whole_angle` of recordings that are projected already."""
+    data = _without_lag(data)
     if terms is not None:
-        return _estimate(data, _fit(data, tuple(t for t in TERMS if t.name in terms)), {})
+        return _estimate(_fit(data, tuple(t for t in TERMS if t.name in terms)), {})
     return _selected(data)
+
+
+def _without_lag(data: WaveData) -> WaveData:
+    """The same without a lag of the drives, where the data exclude one sample of the converters and ask for none.
+
+    A record is late by samples or not at all (what looks like a part of one is something else, seen in switched drives); a lag left free in
+    vain turns the drives of a turning wave, and takes half of what is known of 2 delta and of the damping.
+    """
+    sample_s = max((float(r.extras.get("dac_zero_order_hold_s", 0.0) or 0.0) for r in data.recordings), default=0.0)
+    if not data.base.lagging:
+        return data
+    fit = _fit(data, ())
+    place = fit.layout.lag
+    gain = float(np.abs(np.diag(_estimate(fit, {}).flow.values.G)).mean())
+    rows = np.arange(2 * place.start, 2 * place.stop)
+    information = np.linalg.inv(fit.solution.covariance[np.ix_(rows, rows)])
+    values = np.ascontiguousarray(fit.solution.coefficients[place]).view(np.float64)
+    spread = float(np.sqrt(np.diag(fit.solution.covariance))[rows][::2].max()) / gain
+    late = abs(float(values[0])) / gain > _LATE * sample_s and float(values @ information @ values) > float(chdtri(values.size, _CHANCE))
+    if spread > sample_s / 3.0 or late:
+        return data
+    return replace(data, base=replace(data.base, lagging=False))
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """A solution with the noise it was weighed with."""
+    """A solution with the noise it was weighed with, and the data with the wander that it shows."""
 
+    data: WaveData
     layout: Layout
     solution: LinearFit
     noise: Noise
@@ -173,11 +199,12 @@ def _fit(data: WaveData, terms: tuple[Term, ...]) -> _Fit:
     for _ in range(_ROUNDS):
         # from too little trust to more: a recording that looks quiet by chance must not pull the fit onto itself
         weights = (noise, excess, flicker)
+        data = data.with_wander(solution)
         noise = data.noise(layout, solution, weights)
         excess = data.excess(noise, solution, weights)
         flicker = data.flicker(noise, excess, solution)
         solution = data.solve(layout, noise, excess, solution, flicker)
-    return _Fit(layout, solution, noise, excess, flicker)
+    return _Fit(data, layout, solution, noise, excess, flicker)
 
 
 def _selected(data: WaveData) -> WholeAngleEstimate:
@@ -186,18 +213,18 @@ def _selected(data: WaveData) -> WholeAngleEstimate:
     gains: dict[str, float] = {}
     candidates = [t for t in TERMS if _may_show(data, t)]
     while candidates:
-        rough = {term.name: _gain(data, best, term, best) for term in candidates}
+        rough = {term.name: _gain(best, term, best) for term in candidates}
         term = max(candidates, key=lambda t: rough[t.name] - _limit(t))
         if rough[term.name] <= _limit(term):
             break
         rich = _fit(data, (*best.layout.terms, term))
         # again with the noise of the richer fit: the poorer one's misfit leaks into its own noise
-        gain = _gain(data, best, term, rich)
+        gain = _gain(best, term, rich)
         if gain <= _limit(term):
             break
         best, gains[term.name] = rich, gain
         candidates.remove(term)
-    return _estimate(data, best, gains)
+    return _estimate(best, gains)
 
 
 def _limit(term: Term) -> float:
@@ -205,9 +232,9 @@ def _limit(term: Term) -> float:
     return float(chdtri(2 * len(term.coefficients), _CHANCE))
 
 
-def _gain(data: WaveData, fit: _Fit, term: Term, weights: _Fit) -> float:
+def _gain(fit: _Fit, term: Term, weights: _Fit) -> float:
     """Chi-square that a further term takes away, weighed as in ``weights``; nothing where it cannot be told from the rest."""
-    layout = replace(fit.layout, terms=(*fit.layout.terms, term))
+    data, layout = weights.data, replace(fit.layout, terms=(*fit.layout.terms, term))
     try:
         poor = data.solve(fit.layout, weights.noise, weights.excess, fit.solution, weights.flicker)
         before = _with_room(fit.solution, len(term.coefficients))
@@ -232,9 +259,9 @@ def _may_show(data: WaveData, term: Term) -> bool:
     return max(squares) > (1.0 + _AMPLITUDE_SPREAD) * min(squares)
 
 
-def _estimate(data: WaveData, fit: _Fit, gains: Mapping[str, float]) -> WholeAngleEstimate:
+def _estimate(fit: _Fit, gains: Mapping[str, float]) -> WholeAngleEstimate:
     """Package a fit."""
-    layout, coefficients = fit.layout, fit.solution.coefficients
+    data, layout, coefficients = fit.data, fit.layout, fit.solution.coefficients
     size, own = 4 * layout.per_axis, layout.rate_response
     keep = np.concatenate([np.arange(size), np.arange(2 * own.start, 2 * own.stop)]).astype(int)
     covariance = fit.solution.covariance[np.ix_(keep, keep)]
@@ -246,13 +273,12 @@ def _estimate(data: WaveData, fit: _Fit, gains: Mapping[str, float]) -> WholeAng
             term.coefficients, coefficients[layout.term(term.name)], deviations[layout.term(term.name)], strict=True
         ):
             terms[name], terms_sd[name] = complex(c), (float(re), float(im))
-    lag = coefficients[layout.lag].reshape(-1, 2, 2)
-    flow = _flow(data, fit, covariance[:size, :size])
+    flow = _flow(fit, covariance[:size, :size])
     return WholeAngleEstimate(
         flow=flow,
         rate_response=coefficients[own].reshape(2, 2) if layout.turned else None,
         covariance=covariance,
-        drive_lag_s=-float(np.mean((np.diag(lag[0]) / np.diag(flow.values.G)).real)) if layout.lagging else 0.0,
+        drive_lag_s=-float(coefficients[layout.lag].real.mean() / np.abs(np.diag(flow.values.G)).mean()) if layout.lagging else 0.0,
         terms=terms,
         terms_sd=terms_sd,
         term_gains=dict(gains),
@@ -260,9 +286,9 @@ def _estimate(data: WaveData, fit: _Fit, gains: Mapping[str, float]) -> WholeAng
     )
 
 
-def _flow(data: WaveData, fit: _Fit, covariance: FloatArray) -> SlowFlowEstimate:
+def _flow(fit: _Fit, covariance: FloatArray) -> SlowFlowEstimate:
     """The part that other experiments have too, in their form."""
-    solution = fit.solution
+    data, solution = fit.data, fit.solution
     scores = data.scores(data.quiet_noise(fit.layout, solution), solution, (fit.noise, fit.excess, fit.flicker))
     # the frequency of a wave holds the wander of its resonance, which is nobody's misfit
     judged = [score for (i, channel), score in scores.items() if channel != "frequency" or not in_wave_frame(data.recordings[i])]
@@ -281,14 +307,15 @@ def _flow(data: WaveData, fit: _Fit, covariance: FloatArray) -> SlowFlowEstimate
         dof=max(1, round(spare * sum(count for _, count in judged))),
         condition_number=solution.condition_number,
         noise={(channel, data.recordings[i].label, ""): model for (i, channel), model in fit.noise.items()},
-        table=tuple(_table_row(data, fit, i) for i in range(len(data.recordings))),
+        table=tuple(_table_row(fit, i) for i in range(len(data.recordings))),
     )
     block = np.ascontiguousarray(solution.coefficients[: 2 * fit.layout.per_axis])
     return replace(flow, values=flow.unpack(block.view(np.float64)))
 
 
-def _table_row(data: WaveData, fit: _Fit, index: int) -> TableRow:
+def _table_row(fit: _Fit, index: int) -> TableRow:
     """Volts and residual of a recording's mean, along and across the wave (with loops off: x and y)."""
+    data = fit.data
     p, r = data.signal[index], data.recordings[index]
     sd, left = data.deviations(index, fit.noise, fit.excess), fit.solution.residuals[index]
     pick, drive = (np.trace(q, axis1=1, axis2=2) for q in (p.pick, p.drive))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from ..estimation.wave_lines import role_of
 from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame
 from ..recording.recording import Recording
 from .lines import lines_of
-from .signals import Projector, Signals
+from .noise_law import Lines
+from .signals import WARMING_K, Projector, Signals, smooth_temperature
 
 __all__ = ["CHANNELS", "CampaignEvidence", "RecordingEvidence"]
 
@@ -29,8 +31,8 @@ ComplexArray = NDArray[np.complex128]
 CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
 #: rows per second after thinning
 THIN_HZ = 100.0
-#: temperature span of a recording from which on its temperature moved [K]
-WARMING_K = 0.3
+#: effective frequency of a record's mean over one by its duration
+MEAN_LINE = 0.3
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,25 @@ class RecordingEvidence:
         """Recordings of one role share their noise."""
         role = role_of(self.recording)
         return f"{role}, warming" if self.is_warming else role
+
+    def noise_key(self, channel: str) -> tuple[str, str]:
+        """What shares its noise with this recording's channel: the frequency of a wave wanders alike in every mode, relative to it."""
+        if channel == "frequency" and self.is_wave:
+            return ("wave, warming" if self.is_warming else "wave", channel)
+        return (self.role, channel)
+
+    def lines(self, channel: str, *, quiet: bool = False) -> Lines:
+        """Test functions of a channel; the frequency of a wave is relative to its amplitude."""
+        projector = self.quiet_forms if quiet else self.signal_forms
+        f = projector.frequency_hz
+        slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
+        scale = self.mean_square if channel == "frequency" and self.is_wave else 1.0
+        return Lines(np.maximum(f, MEAN_LINE / self.recording.duration_s), slope, scale, f == 0.0)
+
+    @cached_property
+    def mean_square(self) -> float:
+        """Mean squared amplitude [V^2]."""
+        return float(np.mean(np.sum(np.abs(self.signals.pick) ** 2, axis=1)))
 
     @property
     def parent_role(self) -> str:
@@ -125,7 +146,7 @@ class CampaignEvidence:
 def _evidence(index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float) -> RecordingEvidence:
     width = max(1, round(recording.sample_rate_hz / THIN_HZ))
     signals = Signals(recording, omega0, decay_rate, width, temperature, start)
-    rise = recording.temperature_degc - temperature
+    rise = smooth_temperature(recording) - temperature
     products = Products(
         recording,
         omega0,

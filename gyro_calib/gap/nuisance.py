@@ -23,7 +23,7 @@ ComplexArray = NDArray[np.complex128]
 #: temperature coefficients of healthy devices, sd [1/K]: gains, their differences and phases; damping relative; all small against 1
 _GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 5e-3
 #: relative curvature of the damping [1/K^2], of the frequency [1/K^2]
-_DAMPING_PER_K2, _FREQUENCY_PER_K2 = 3e-5, 1e-8
+_DAMPING_PER_K2, _FREQUENCY_PER_K2 = 3e-5, 1e-7
 #: a record that is late by some samples of the converters [s]; a rate table's clock [s]
 _LAG_S, _TABLE_CLOCK_S = 3e-5, 1e-3
 #: change of E over a relative distance of one from resonance; reaction of the diagonal of A to rate over kappa

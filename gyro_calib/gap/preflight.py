@@ -96,10 +96,11 @@ def _cut_short(campaign: Campaign) -> list[str]:
     out = []
     for alike in lengths.values():
         usual = float(np.median([r.duration_s for r in alike]))
+        regular = sum(abs(r.duration_s / usual - 1.0) < 0.02 for r in alike) >= max(4, 0.7 * len(alike))
         for r in alike:
             stated = r.extras.get("duration_s")
-            wanted = float(stated) if isinstance(stated, int | float) else usual
-            if len(alike) > 2 and r.duration_s < _CUT_SHORT * wanted:
+            wanted = float(stated) if isinstance(stated, int | float) else usual if regular else 0.0
+            if r.duration_s < _CUT_SHORT * wanted:
                 out.append(f"{r.label} is cut short: {r.duration_s:.3g} s where {wanted:.3g} s are usual. What it holds is used.")
     return out
 

@@ -18,10 +18,27 @@ from ..estimation.wave_projection import frame_directions, spectral_derivatives,
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
 
-__all__ = ["Signals"]
+__all__ = ["WARMING_K", "Signals", "smooth_temperature"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+
+#: temperature span of a recording from which on its temperature moved [K]; over how long it is smoothed then [s]
+WARMING_K, _SMOOTH_S = 0.3, 0.4
+
+
+def smooth_temperature(recording: Recording) -> FloatArray:
+    """Temperature of every row without the noise of its sensor, which would be in the frequency: a straight line, or where the temperature
+    moved a running mean.
+    """
+    raw, n = recording.temperature_degc, len(recording)
+    place = np.linspace(-1.0, 1.0, n)
+    line = raw.mean() + place * float(place @ raw) / float(place @ place)
+    width = 2 * (min(round(_SMOOTH_S * recording.sample_rate_hz), n // 4) // 2) + 1
+    total = np.cumsum(np.concatenate([[0.0], np.pad(raw - line, width // 2, mode="reflect")]))
+    running = line + (total[width:] - total[:-width]) / width
+    return np.asarray(running if np.ptp(running) > WARMING_K else line)
 
 
 @dataclass(frozen=True)
@@ -76,7 +93,7 @@ class Signals:
     @cached_property
     def temperature_k(self) -> FloatArray:
         """Temperature above the one that the campaign is referred to, shape (n,)."""
-        return np.asarray(thin(self.recording.temperature_degc, self.width)) - self.temperature_degc
+        return np.asarray(thin(smooth_temperature(self.recording), self.width)) - self.temperature_degc
 
     @cached_property
     def rate_rad_s(self) -> FloatArray:

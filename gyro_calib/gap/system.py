@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from ..estimation.linear_fit import NoiseModel
 from .columns import Column
 from .evidence import CHANNELS, CampaignEvidence
+from .noise_law import NoiseLaw
 
 __all__ = ["NoiseByRole", "Solution", "Whitener", "solve"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: (role, channel) -> density
-NoiseByRole = Mapping[tuple[str, str], NoiseModel]
+NoiseByRole = Mapping[tuple[str, str], NoiseLaw]
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,17 @@ class Whitener:
     factors: tuple[tuple[FloatArray, FloatArray], ...]
 
     @classmethod
-    def of(cls, evidence: CampaignEvidence, noise: NoiseByRole) -> Whitener:
-        """Cholesky factors of the covariance of each recording's equations."""
+    def of(cls, evidence: CampaignEvidence, noise: NoiseByRole, excess: Mapping[tuple[int, str], float] | None = None) -> Whitener:
+        """Cholesky factors of the covariance of each recording's equations; ``excess``: by how much the noise of a recording's channel is
+        larger than that of its kind.
+        """
+        more = excess or {}
         factors = []
         for r in evidence:
-            half = r.signal.lhs.size // 2
             pair = []
             for part in range(2):
-                density = np.concatenate([noise[r.role, CHANNELS[2 * k + part]].density(r.signal.frequency_hz[:half]) for k in range(2)])
+                channels = [CHANNELS[2 * side + part] for side in range(2)]
+                density = np.concatenate([more.get((r.index, c), 1.0) * noise[r.noise_key(c)].density(r.lines(c)) for c in channels])
                 sd = np.sqrt(density)
                 pair.append(np.linalg.cholesky(r.signal.gram * np.outer(sd, sd) + 1e-12 * np.diag(density)))
             factors.append((pair[0], pair[1]))
