@@ -9,10 +9,10 @@ import numpy as np
 from ..effects import EFFECTS
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import FORMS, Form, Linear, Setting
+from .forms import FORMS, Linear, Setting
 from .screen import Candidate
 
-__all__ = ["candidates_of", "registry_name", "titles"]
+__all__ = ["candidate_at", "candidates_of", "registry_name", "titles"]
 
 #: width of the prior of a parameter over its typical size in the registry
 _PRIOR_WIDTH = 10.0
@@ -51,14 +51,16 @@ def candidates_of(
     found: dict[str, list[Candidate]] = {}
     for k, name in enumerate(names):
         settings = FORMS[name].settings([r.signals for r in evidence])
-        candidates = [_candidate(evidence, name, FORMS[name], linear, setting, len(settings)) for setting in settings]
+        candidates = [candidate_at(evidence, linear, name, setting, len(settings)) for setting in settings]
         found[name] = [c for c in candidates if any(np.any(v) for column in c.columns for v in column.signal)]
         if on_progress is not None:
             on_progress((k + 1) / len(names))
     return {name: candidates for name, candidates in found.items() if candidates}
 
 
-def _candidate(evidence: CampaignEvidence, name: str, form: Form, linear: Linear, setting: Setting, choices: int) -> Candidate:
+def candidate_at(evidence: CampaignEvidence, linear: Linear, name: str, setting: Setting, choices: int) -> Candidate:
+    """An effect at one setting; ``choices``: how many settings it is tried at."""
+    form = FORMS[name]
     columns = tuple(form_columns(evidence, form, linear, setting))
     effect = EFFECTS[registry_name(name, setting)]
     typical = {p.name: p.typical for p in effect.parameters}

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects import EFFECTS
 from ..recording.recording import Recording
-from .candidates import candidates_of
+from .candidates import candidate_at, candidates_of
 from .columns import Column
 from .evidence import CampaignEvidence
-from .forms import Linear
+from .forms import Linear, Setting
 from .noise import first_noise, measured_noise
 from .nuisance import frequency_columns, linear_columns, linear_of, target_of, thermal_columns, wander_columns
 from .preflight import check_linear
@@ -54,6 +55,10 @@ class CampaignModel:
     candidates: Mapping[str, Sequence[Candidate]]
     screener: Screener
     base: Solution
+
+    def candidate(self, name: str, setting: Setting) -> Candidate:
+        """An effect at another setting than those of its grid."""
+        return candidate_at(self.evidence, self.linear, name, setting, len(self.candidates[name]))
 
     @property
     def target(self) -> list[ComplexArray]:
@@ -115,7 +120,8 @@ def look_at(
     nuisances = _nuisances(evidence, linear, wander)
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     report(0.75, "noise")
-    noise, excess = measured_noise(evidence, _saturated(nuisances, candidates), angular_gain)
+    of_rate = [*nuisances, *(c for name in candidates if "rate" in EFFECTS[name].needs for c in candidates[name][0].columns)]
+    noise, excess = measured_noise(evidence, _saturated(nuisances, candidates), of_rate, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
     base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))

@@ -47,8 +47,13 @@ def first_noise(evidence: CampaignEvidence) -> dict[Key, NoiseLaw]:
     }
 
 
-def measured_noise(evidence: CampaignEvidence, saturated: Sequence[Column], angular_gain: float) -> tuple[NoiseByRole, Excess]:
-    """Noise by role and channel, from what the saturated model leaves at quiet and at signal lines; and recordings that are louder."""
+def measured_noise(
+    evidence: CampaignEvidence, saturated: Sequence[Column], of_rate: Sequence[Column], angular_gain: float
+) -> tuple[NoiseByRole, Excess]:
+    """Noise by role and channel, from what the saturated model leaves at quiet and at signal lines; and recordings that are louder.
+
+    ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show.
+    """
     noise: NoiseByRole = first_noise(evidence)
     target, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
     solution = _solved(evidence, saturated, noise, target)
@@ -56,7 +61,23 @@ def measured_noise(evidence: CampaignEvidence, saturated: Sequence[Column], angu
         noise = _from_residuals(evidence, solution, noise, quiet)
         solution = _solved(evidence, saturated, noise, target)
     noise = _with_repeats(evidence, solution, noise, target)
-    return _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
+    noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
+    return noise, _with_table(evidence, of_rate, noise, excess, target)
+
+
+def _with_table(
+    evidence: CampaignEvidence, told: Sequence[Column], noise: NoiseByRole, excess: Excess, target: Sequence[ComplexArray]
+) -> Excess:
+    """Excess of the turned recordings: what a table does besides its log is no effect, so only effects of rate may explain it."""
+    whitener = Whitener.of(evidence, noise, excess)
+    solution = solve(told, whitener.design(told, len(evidence)), whitener.rows(target))
+    more = dict(excess)
+    for _, r, _, _, channel, rows in _parts(evidence):
+        if "applied_rate" in r.recording.extras:
+            ratio = float(np.mean(solution.residual[rows] ** 2))
+            if ratio > 1.0 + _UNLIKE * np.sqrt(2.0 / (rows.stop - rows.start)):
+                more[r.index, channel] = more.get((r.index, channel), 1.0) * ratio
+    return more
 
 
 def _solved(evidence: CampaignEvidence, columns: Sequence[Column], noise: NoiseByRole, target: Sequence[ComplexArray]) -> Solution:

@@ -19,8 +19,13 @@ _INDEX_TOLERANCE, _VOLTS_TOLERANCE = 0.3, 0.1
 _REFERENCE_HZ = 0.5
 #: a recording shorter than this share of its like is cut short
 _CUT_SHORT = 0.7
-#: response to rate over kappa of the factory from which on the table and the factory contradict each other
-_RATE_TOLERANCE = 0.2
+#: what the response to rate is divided by when applied_rate is in another unit, and how near it must be to that
+_RATE_UNITS = (
+    (57.29578, "to be in rad/s where deg/s is said"),
+    (1.0 / 57.29578, "to be in deg/s where rad/s is said"),
+    (3600.0, "to be in deg/h"),
+)
+_RATE_TOLERANCE = 0.15
 _FEWEST_RECORDINGS = 2
 
 
@@ -136,8 +141,9 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
                 f"The wave must lag behind the table by kappa = {linear.angular_gain:.4g}, but got {response:+.4g}: the sign of applied_rate "
                 "(or of one axis) is wrong. Turn its sign."
             )
-        if abs(response / linear.angular_gain - 1.0) > _RATE_TOLERANCE:
-            raise DataError(
-                f"The response to the table must be near kappa = {linear.angular_gain:.4g} of the factory, but got {response:.4g}: "
-                "applied_rate is in another unit (deg/s?), or the factory data are another unit's."
-            )
+        for factor, unit in _RATE_UNITS:
+            if abs(response / linear.angular_gain * factor - 1.0) < _RATE_TOLERANCE:
+                raise DataError(
+                    f"The response to the table must be near kappa = {linear.angular_gain:.4g} of the factory, but got {response:.4g}: "
+                    f"applied_rate looks {unit}. Correct its unit."
+                )

@@ -23,6 +23,7 @@ MARGIN, LEAST_GAIN = 8.0, 25.0
 #: an effect that is as good as the best within this log evidence is not told apart from it
 _ALIKE = 4.5
 _MOST_EFFECTS = 3
+_GOLDEN_STEPS = 8
 #: share of an effect's gain that its form, of first order, may leave
 _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
@@ -116,7 +117,9 @@ def select_effects(model: CampaignModel) -> Selection:
         ranked = _ranked(model, chosen)
     if not chosen:
         chosen = _pair(model, first)
+    chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
     chosen = _improved(model, chosen, largest)
+    chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
     effects = _together(model, chosen)
     groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
     screener = model.screener_with(chosen)
@@ -146,6 +149,41 @@ def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
         if together > best[0] and a.gain + second.gain > 2.0 * LEAST_GAIN:
             best = (together, [a.candidate, b.candidate])
     return best[1]
+
+
+def _refined(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> Candidate:
+    """The candidate in place k with its setting between the points of the grid, by golden section on the evidence."""
+    candidate = chosen[k]
+    key = next((name for name in ("level", "tau", "separation_hz") if name in candidate.setting), None)
+    if key is None:
+        return candidate
+    grid = np.unique([float(c.setting[key]) for c in model.candidates[candidate.name]])
+    here = float(candidate.setting[key])
+    below, above = grid[grid < here], grid[grid > here]
+    low, high = (float(below[-1]) if below.size else here), (float(above[0]) if above.size else here)
+    screener = model.screener_with([c for j, c in enumerate(chosen) if j != k])
+    tried: dict[float, tuple[float, Candidate]] = {}
+
+    def evidence(value: float) -> float:
+        at = model.candidate(candidate.name, {**candidate.setting, key: value})
+        found = screener.screen(at)
+        tried[value] = (found.log_evidence if found is not None and physical(found) else -np.inf, at)
+        return tried[value][0]
+
+    evidence(here)
+    share = 0.381966
+    a, b = low + share * (high - low), high - share * (high - low)
+    at_a, at_b = evidence(a), evidence(b)
+    for _ in range(_GOLDEN_STEPS):
+        if at_a > at_b:
+            high, b, at_b = b, a, at_a
+            a = low + share * (high - low)
+            at_a = evidence(a)
+        else:
+            low, a, at_a = a, b, at_b
+            b = high - share * (high - low)
+            at_b = evidence(b)
+    return max(tried.values(), key=lambda pair: pair[0])[1]
 
 
 def _improved(model: CampaignModel, chosen: list[Candidate], largest: float) -> list[Candidate]:
@@ -180,6 +218,8 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
     """The effect in place k and those that would do as well in its place."""
     ranked = _ranked(model, [c for j, c in enumerate(chosen) if j != k])
     mine = next(s for s in ranked if s.name == chosen[k].name)
+    refined = model.screener_with([c for j, c in enumerate(chosen) if j != k]).screen(chosen[k])
+    mine = refined if refined is not None and refined.log_evidence > mine.log_evidence else mine
     return (mine.name, *(s.name for s in ranked if s.name != mine.name and s.log_evidence > mine.log_evidence - _ALIKE))
 
 
