@@ -23,12 +23,13 @@ from gyro_calib.report.table import Table
 from gyro_calib.study import Gate
 
 HERE = Path(__file__).resolve().parent
-#: name -> what it shows; each but the last is a module with ``measure(Options) -> Outcome``
+#: name -> what it shows; each but consumer_yaw is a module with ``measure(Options) -> Outcome``
 BENCHMARKS = {
     "carrier_vs_c": "carrier kernel against the same loop in C and against an ODE solver",
     "slow_flow_speed": "device seconds per CPU second of both simulators",
     "accuracy_seeds": "bias, scale factor and rate before and after, 20 units",
     "consumer_yaw": "yaw of a stranger's program over 10 simulated minutes, real nodes",
+    "navigation": "consistency of a stranger's EKF with each covariance mode, real nodes",
 }
 
 

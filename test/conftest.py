@@ -12,6 +12,8 @@ import pytest
 
 # read when the message modules are imported, so before any of them: a wrong type in a field is then an error
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+# before numpy: threads of the linear algebra on small matrices cost many times what they give, the more the busier the machine
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 HAVE_ROS = importlib.util.find_spec("rclpy") is not None
 collect_ignore = [] if HAVE_ROS else ["ros_helpers.py"]
 

@@ -98,7 +98,7 @@ def start_node(
     Parameters
     ----------
     module : str
-        Name below ``gyro_calib.nodes`` (``"gyro_sim_node"``), or a full one.
+        Name below ``gyro_calib.nodes`` (``"gyro_sim_node"``), a full one, or the file name of a script beside this one.
     folder : Path
         Where its output and parameter file go.
     namespace : str
@@ -112,10 +112,13 @@ def start_node(
     environment : mapping
         Set over that of this process.
     """
-    full = module if "." in module else f"gyro_calib.nodes.{module}"
+    if module.endswith(".py"):
+        program = [str(ROOT / "test" / module)]
+    else:
+        program = ["-m", module if "." in module else f"gyro_calib.nodes.{module}"]
     count = len(list(folder.glob(f"{module}_*.log")))
     log = folder / f"{module}_{count}.log"
-    command = [sys.executable, "-m", full, *arguments, "--ros-args", "-r", f"__ns:={namespace}"]
+    command = [sys.executable, *program, *arguments, "--ros-args", "-r", f"__ns:={namespace}"]
     if parameters:
         file = folder / f"{module}_{count}.yaml"
         file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}))

@@ -50,8 +50,10 @@ def test_following_a_clock_waits_for_it() -> None:
     pacer = FollowClock(hand.nanoseconds, longest_wait_s=0.002)
     # a simulated clock that nobody publishes yet
     assert pacer.wait_s(0.01) == 0.002
+    assert not pacer.started
     hand.now = 50.0
     assert pacer.wait_s(0.01) == 0.0
+    assert pacer.started
     assert pacer.stamp_ns(0.01) == 50_000_000_000
     assert pacer.wait_s(0.02) == 0.002
     hand.now = 50.01

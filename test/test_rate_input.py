@@ -30,6 +30,27 @@ def test_a_stamp_that_is_absent_past_or_of_another_clock_counts_from_now(stamp: 
     np.testing.assert_array_equal(held.sample(np.array([1.1, 1.2])), [3.0, 3.0])
 
 
+def test_a_simulation_that_lags_behind_its_clock_takes_each_value_at_its_time() -> None:
+    held = RateInput(window_s=1.0)
+    held.sample(np.array([1.0]))
+    held.push(3.0, 4.0, clock_s=4.0)
+    held.push(5.0, 6.0, clock_s=4.0)  # ahead of the clock too
+    np.testing.assert_array_equal(held.sample(np.array([1.1, 3.9, 4.0, 4.1])), [0.0, 0.0, 5.0, 5.0])
+    held.push(7.0, 5.0, clock_s=4.2)
+    np.testing.assert_array_equal(held.sample(np.array([4.9, 5.1])), [5.0, 7.0])
+
+
+def test_what_waits_for_a_time_that_will_not_come_holds_from_now_on() -> None:
+    held = RateInput()
+    held.sample(np.array([1.0]))
+    held.push(3.0, 4.0, clock_s=8.0)
+    held.push(5.0, 8.0, clock_s=8.0)
+    held.catch_up()
+    np.testing.assert_array_equal(held.sample(np.array([1.1, 9.0])), [5.0, 5.0])
+    held.catch_up()  # nothing waits, nothing changes
+    assert held.sample(np.array([9.1])) == 5.0
+
+
 def test_a_value_out_of_order_does_not_undo_later_ones() -> None:
     held = RateInput()
     held.push(1.0, 0.3)

@@ -1,7 +1,8 @@
 """Allan deviation of a rate, with confidence intervals and noise coefficients.
 
-RECORDING is an HDF5 file or a ROS 2 bag (the longest static force-rebalance recording is used, or the one named by --label), or a text file
-with one rate per line (--rate-hz and --unit say what it is, --column picks one of several columns).
+RECORDING is an HDF5 file or a ROS 2 bag (the longest recording at rest is used, or the one named by --label), or a text file with one rate
+per line (--rate-hz and --unit say what it is, --column picks one of several columns). At rest is a force-rebalance recording without
+excitation, or one of a free wave of a whole-angle gyro.
 """
 
 from __future__ import annotations
@@ -117,14 +118,15 @@ def _read_recording(arguments: argparse.Namespace) -> RateRecord:
         campaign = load_campaign(arguments.recording, on_progress=report)
     static = [r for r in campaign if _is_static(r)] if arguments.label is None else [r for r in campaign if r.label == arguments.label]
     if not static:
-        wanted = f"one labelled {arguments.label!r}" if arguments.label is not None else "a static one in force-rebalance mode"
+        at_rest = "one at rest, in force-rebalance or whole-angle mode"
+        wanted = at_rest if arguments.label is None else f"one labelled {arguments.label!r}"
         labels = ", ".join(r.label for r in campaign)
         raise DataError(f"Recordings must hold {wanted}, but got {labels or 'none'}. Choose one with --label.")
     recording = max(static, key=len)
     factory: dict[str, Any] = dict(campaign.factory)
     if arguments.scale_factor is not None:
         factory["nominal_scale_factor_v_per_rad_s"] = dict.fromkeys("xy", arguments.scale_factor)
-    elif "nominal_scale_factor_v_per_rad_s" not in factory:
+    elif "nominal_scale_factor_v_per_rad_s" not in factory and recording.command.oscillator_axis is not None:
         raise DataError(
             "Factory data must hold nominal_scale_factor_v_per_rad_s to make a rate of volts, but got none. Give --scale-factor, e.g. from "
             "gyro-calib calibrate."
@@ -134,10 +136,12 @@ def _read_recording(arguments: argparse.Namespace) -> RateRecord:
 
 
 def _is_static(recording: Recording) -> bool:
-    """At rest at one temperature, with a rate channel."""
+    """At rest at one temperature, with a rate channel: rebalance drive, or turning of a wave that nothing turns."""
     turned = bool(recording.extras.get("applied_rate"))
     warmed = float(recording.temperature_degc.max() - recording.temperature_degc.min()) > _STEADY_K
-    return bool(recording.command.oscillator_axis) and recording.command.excitation.kind == "none" and not turned and not warmed
+    command = recording.command
+    free = command.mode == "whole_angle" and command.setpoints.virtual_precession_v == 0.0
+    return (free or bool(command.oscillator_axis)) and command.excitation.kind == "none" and not turned and not warmed
 
 
 def _document(record: RateRecord, analysis: AllanAnalysis) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 
 from ..errors import GyroCalibError
-from . import allan, calibrate, call, demo, factory, pickoff, simulate, study, up
+from . import allan, blind_trial, calibrate, call, demo, diagnose, factory, pickoff, simulate, study, up
 
 __all__ = ["build_parser", "main"]
 
@@ -22,10 +22,12 @@ _COMMANDS = {
     "call": call,
     "simulate": simulate,
     "calibrate": calibrate,
+    "diagnose": diagnose,
     "factory": factory,
     "pickoff": pickoff,
     "allan": allan,
     "study": study,
+    "blind-trial": blind_trial,
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -63,9 +63,21 @@ def load_device(source: str | Path) -> Device:
     return device_from_dict(document)
 
 
-def dump_device(device: Device, path: str | Path) -> None:
-    """Write a device description that :func:`load_device` reads back equal."""
-    Path(path).write_text(yaml.safe_dump(device_to_dict(device), sort_keys=False), encoding="utf-8")
+def dump_device(device: Device, path: str | Path, notes: Iterable[str] = ()) -> None:
+    """Write a device description that :func:`load_device` reads back equal, with notes as comments at its head.
+
+    Raises
+    ------
+    DeviceError
+        The file cannot be written.
+    """
+    head = "".join(f"# {line}\n" for note in notes for line in note.splitlines())
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(head + yaml.safe_dump(device_to_dict(device), sort_keys=False), encoding="utf-8")
+    except OSError as error:
+        raise DeviceError(f"Device file must be writable, but got {error}. Choose another path.") from error
 
 
 def device_to_dict(device: Device) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Sequences of commands and what they must record, written once against the instrument seam."""
 
 from .bench_plans import BENCH_PLANS, factory_plan, pickoff_phase_plan
+from .gap_plans import GAP_ABILITIES, GAP_PLANS, gap_ftr_plan, gap_plan, gap_whole_angle_plan
 from .instrument import Instrument, compensation_in_force
 from .plan import Limits, Plan, Step
 from .plans import (
@@ -20,6 +21,8 @@ from .whole_angle_plans import scale_factor_plan, virtual_precession_plan
 
 __all__ = [
     "BENCH_PLANS",
+    "GAP_ABILITIES",
+    "GAP_PLANS",
     "PLANS",
     "QUALITIES",
     "Instrument",
@@ -32,6 +35,9 @@ __all__ = [
     "cubic_plan",
     "factory_plan",
     "feedthrough_plan",
+    "gap_ftr_plan",
+    "gap_plan",
+    "gap_whole_angle_plan",
     "mission_mode",
     "pickoff_phase_plan",
     "plan_by_name",

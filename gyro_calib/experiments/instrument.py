@@ -26,7 +26,8 @@ class Instrument(Protocol):
     -----
     An instrument may have ``abilities``, a set of ``"applied_rate"``, ``"raw"`` and ``"temperature"``; its ``record`` then takes
     ``applied_rate`` (how a table turns it during the recording), ``raw_s`` (seconds of converter samples to keep) and ``temperature_degc``
-    (where a chamber takes it while it settles, and keeps it) by keyword. Without the attribute it has none.
+    (where a chamber takes it while it settles, and keeps it; with ``temperature_ramp_s`` in the first so many seconds of the record) by
+    keyword. Without the attribute it has none.
     It may say what it was last commanded in ``command``; :func:`compensation_in_force` asks that.
     """
 

@@ -21,7 +21,10 @@ class Step:
 
     ``applied_rate`` is how a rate table turns the gyro meanwhile (:mod:`gyro_calib.recording.applied_rate`), ``raw_s`` for how long, at the
     end of the step, converter samples are kept, ``temperature_degc`` where a chamber takes it while it settles and keeps it from then
-    on; an instrument says in its ``abilities`` whether it can.
+    on (with ``temperature_ramp_s``: evenly in the first so many seconds of the record instead); an instrument says in its ``abilities``
+    whether it can.
+
+    A step that is not ``kept`` only brings the gyro where the next one needs it: its recording is not part of the campaign.
     """
 
     label: str
@@ -32,12 +35,19 @@ class Step:
     applied_rate: Mapping[str, Any] | None = None
     raw_s: float = 0.0
     temperature_degc: float | None = None
+    temperature_ramp_s: float = 0.0
+    kept: bool = True
 
     def __post_init__(self) -> None:
         if not self.duration_s > 0 or self.settle_s < 0:
             raise DataError(f"Step duration_s must be > 0 and settle_s >= 0, but got {self.duration_s!r}, {self.settle_s!r}.")
         if not 0.0 <= self.raw_s <= self.duration_s:
             raise DataError(f"Step raw_s must lie within 0 and duration_s = {self.duration_s:g}, but got {self.raw_s!r}.")
+        if not 0.0 <= self.temperature_ramp_s <= (0.0 if self.temperature_degc is None else self.duration_s):
+            raise DataError(
+                f"Step temperature_ramp_s must lie within 0 and duration_s = {self.duration_s:g} and have a temperature_degc, "
+                f"but got {self.temperature_ramp_s!r}."
+            )
 
     @property
     def needs(self) -> frozenset[str]:
@@ -64,12 +74,18 @@ class Limits:
 
 @dataclass(frozen=True)
 class Plan:
-    """Ordered steps of one method with abort conditions; ``final`` is the command put in force when it ends, however it ends."""
+    """Ordered steps of one method with abort conditions; ``final`` is the command put in force when it ends, however it ends.
+
+    Every recording carries ``words`` among its attributes (how an order was drawn); ``left_out`` says in sentences what the plan would
+    hold on an instrument of more abilities.
+    """
 
     name: str
     steps: tuple[Step, ...]
     limits: Limits = field(default_factory=Limits)
     final: Command = field(default_factory=Command)
+    words: Mapping[str, Any] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:

@@ -27,6 +27,7 @@ __all__ = [
     "cubic_plan",
     "feedthrough_plan",
     "mission_mode",
+    "open_steps",
     "plan_by_name",
     "self_calibration_plan",
     "sideband_plan",
@@ -73,18 +74,21 @@ SWAP_SETTLE_S, SETTLE_S, OPEN_SETTLE_S = 3.0, 1.0, 2.0
 HUSH_SHARE = 0.01
 
 
-def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
+def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None, **options: Any) -> Plan:
     """Build a plan.
 
     Parameters
     ----------
     name : str
-        One of :data:`PLANS`, or of the bench's (:data:`.bench_plans.BENCH_PLANS`: a rate table, converter samples).
+        One of :data:`PLANS`, of the bench's (:data:`.bench_plans.BENCH_PLANS`: a rate table, converter samples), or of the campaigns
+        from which a gap is diagnosed (:data:`.gap_plans.GAP_PLANS`).
     factory : mapping
         Factory data of the unit.
     quality : {"quick", "standard", "fine"}
     limits : Limits, optional
         Abort conditions.
+    **options
+        Of the campaigns for a gap: ``seed``, ``abilities``, ``temperature_degc``.
 
     Raises
     ------
@@ -92,11 +96,12 @@ def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "stand
         Unknown plan or quality, or factory data that lack what the plan needs.
     """
     from .bench_plans import BENCH_PLANS  # they are built on the ones here
+    from .gap_plans import GAP_PLANS
 
-    plans = PLANS | BENCH_PLANS
+    plans = PLANS | BENCH_PLANS | GAP_PLANS
     if name not in plans:
         raise DataError(f"Plan must be one of {', '.join(plans)}, but got {name!r}.")
-    return plans[name](factory, quality=quality, limits=limits)
+    return plans[name](factory, quality=quality, limits=limits, **options)
 
 
 def sideband_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
@@ -106,7 +111,7 @@ def sideband_plan(factory: Mapping[str, Any], *, quality: str = "standard", limi
 
 def feedthrough_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
     """Loops off: open drive and body excitation off resonance (document 000, steps 2 and 3)."""
-    return Plan("feedthrough", tuple(_open_steps(_quality(quality), factory)), limits or Limits(), _mission(factory))
+    return Plan("feedthrough", tuple(open_steps(_quality(quality), factory)), limits or Limits(), _mission(factory))
 
 
 def static_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
@@ -125,7 +130,7 @@ def self_calibration_plan(factory: Mapping[str, Any], *, quality: str = "standar
         steps = [*scale_factor_steps(factory, quality), *virtual_precession_steps(factory, quality)]
     else:
         steps = _loop_steps(q, _amplitude(factory))
-    return Plan("self_calibrate", (*_open_steps(q, factory), *steps), limits or Limits(), _mission(factory))
+    return Plan("self_calibrate", (*open_steps(q, factory), *steps), limits or Limits(), _mission(factory))
 
 
 def mission_mode(factory: Mapping[str, Any]) -> str:
@@ -137,7 +142,7 @@ def mission_mode(factory: Mapping[str, Any]) -> str:
 def cubic_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
     """The self-calibration at three amplitudes: cubic terms grow with the square and show only so (document 000, Eqs. 20-27)."""
     q, amplitude = _quality(quality), _amplitude(factory)
-    steps = _open_steps(q, factory)
+    steps = open_steps(q, factory)
     for share in CUBIC_AMPLITUDES:
         steps += _loop_steps(q, amplitude * share, f"_a{share:g}")
     return Plan("cubic", tuple(steps), limits or Limits(), _mission(factory))
@@ -183,7 +188,7 @@ def _loop_steps(q: Quality, amplitude: float, suffix: str = "") -> list[Step]:
     return steps
 
 
-def _open_steps(q: Quality, factory: Mapping[str, Any]) -> list[Step]:
+def open_steps(q: Quality, factory: Mapping[str, Any]) -> list[Step]:
     """Loops-off records about the resonance that a short static record measures first."""
     volts = 0.4 * float(factory.get("dac_full_scale_V", 5.0))
     amplitude = _amplitude(factory)

@@ -83,7 +83,7 @@ def run_plan(
             instrument.configure(_resolved(step, recordings))
             recording = _record(instrument, step)
             watch.check(step, recording)
-            recordings.append(recording)
+            recordings.append(replace(recording, extras={**recording.extras, **plan.words}))
             done_s += step.duration_s + step.settle_s
     except BaseException:
         _return_to_mission(instrument, plan)
@@ -91,7 +91,8 @@ def run_plan(
     instrument.configure(plan.final)
     if on_progress is not None:
         on_progress(Progress(1.0, 0.0, "", len(plan.steps), len(plan.steps)))
-    return Campaign(instrument.device_id, tuple(recordings), dict(instrument.factory))
+    kept = tuple(recording for recording, step in zip(recordings, plan.steps, strict=True) if step.kept)
+    return Campaign(instrument.device_id, kept, dict(instrument.factory))
 
 
 def _check_abilities(instrument: Instrument, plan: Plan) -> None:
@@ -114,6 +115,8 @@ def _record(instrument: Instrument, step: Step) -> Recording:
         more["raw_s"] = step.raw_s
     if step.temperature_degc is not None:
         more["temperature_degc"] = step.temperature_degc
+        if step.temperature_ramp_s > 0.0:
+            more["temperature_ramp_s"] = step.temperature_ramp_s
     return instrument.record(step.duration_s, settle_s=step.settle_s, label=step.label, **more)
 
 
@@ -137,17 +140,27 @@ def _return_to_mission(instrument: Instrument, plan: Plan) -> None:
 
 
 class _Watch:
-    """Abort conditions, checked on every recording."""
+    """Abort conditions, checked on every recording.
+
+    Rates are held against earlier ones of the same amplitude and temperature only: the bias depends on both, more so in a gyro with a
+    nonlinearity, and that is not the base.
+    """
 
     def __init__(self, plan: Plan, factory: dict[str, object]) -> None:
         self._limits = plan.limits
         self._factory = factory
         self._temperature: float | None = None
-        self._rates: dict[str, float] = {}
-        #: rate of the wave in the recording that the drives disturbed least, and how much they may have [rad/s]
-        self._waves = (0.0, np.inf)
+        self._rates: dict[tuple[str, float], float] = {}
+        #: rate of the wave, by amplitude, in the recording that the drives disturbed least, and how much they may have [rad/s]
+        self._waves: dict[float, tuple[float, float]] = {}
 
     def check(self, step: Step, recording: Recording) -> None:
+        if step.temperature_degc is not None:
+            self._rates.clear()
+            self._waves.clear()
+        if step.temperature_ramp_s > 0.0:
+            self._temperature = float(recording.temperature_degc[-1])
+            return
         self._check_temperature(step, recording)
         if "nominal_scale_factor_v_per_rad_s" in self._factory and not step.applied_rate:
             self._check_base(step, recording)
@@ -198,12 +211,13 @@ class _Watch:
 
     def _moved_since(self, step: Step, recording: Recording, middle: float) -> float:
         """Change of the rate since the first recording of its kind, beyond what the drives may have done to it [rad/s]."""
+        amplitude = step.command.setpoints.amplitude_v
         if step.command.mode not in WAVE_MODES:
-            return abs(middle - self._rates.setdefault(step.command.mode, middle))
+            return abs(middle - self._rates.setdefault((step.command.mode, amplitude), middle))
         doubt = self._doubt(recording)
-        first, its_doubt = self._waves
+        first, its_doubt = self._waves.get(amplitude, (0.0, np.inf))
         if doubt < its_doubt:
-            self._waves = middle, doubt
+            self._waves[amplitude] = middle, doubt
         return abs(middle - first) - doubt - its_doubt if np.isfinite(its_doubt) else 0.0
 
     def _doubt(self, recording: Recording) -> float:
@@ -212,7 +226,9 @@ class _Watch:
         if not isinstance(nominal, Mapping) or "x" not in nominal:
             return 0.0
         volts = float(np.sqrt(np.mean(np.sum(recording.data[:, 6:10] ** 2, axis=1))))
-        return _NOMINAL_SHARE * volts / abs(float(nominal["x"]))
+        # a volt turns a smaller wave further
+        share = recording.command.setpoints.amplitude_v / float(str(self._factory.get("nominal_amplitude_v", 1.0)))
+        return _NOMINAL_SHARE * volts / (abs(float(nominal["x"])) * share)
 
 
 def _means(values: FloatArray, rate_hz: float) -> FloatArray:

@@ -71,6 +71,7 @@ class SimulatedInstrument:
         applied_rate: Mapping[str, Any] | None = None,
         raw_s: float = 0.0,
         temperature_degc: float | None = None,
+        temperature_ramp_s: float = 0.0,
     ) -> Recording:
         """Simulate the settling time (the first time after a command), then record.
 
@@ -84,13 +85,17 @@ class SimulatedInstrument:
             Converter samples are kept of this long at the end [s]; carrier fidelity only.
         temperature_degc : float, optional
             Where a chamber takes the gyro in the first half of the settling time, and keeps it from then on.
+        temperature_ramp_s : float
+            The chamber does so in the first so many seconds of the record instead [s].
         """
         simulator = self._simulator
-        if temperature_degc is not None:
+        if temperature_degc is not None and not temperature_ramp_s:
             simulator.move_to_temperature(temperature_degc, 0.5 * settle_s if self._fresh else 0.0)
         if self._fresh and settle_s > 0.0:
             simulator.advance(settle_s, self._rate)
         self._fresh = False
+        if temperature_degc is not None and temperature_ramp_s:
+            simulator.move_to_temperature(temperature_degc, temperature_ramp_s)
         extras: dict[str, Any] = {"dac_zero_order_hold_s": self.factory["dac_zero_order_hold_s"], "settle_s": settle_s}
         if applied_rate is not None:
             extras["applied_rate"] = dict(applied_rate)

@@ -21,6 +21,7 @@ __all__ = [
     "WaveQuality",
     "nominal_decay",
     "nominal_gain",
+    "precession_step",
     "scale_factor_plan",
     "scale_factor_steps",
     "virtual_precession_plan",
@@ -92,7 +93,7 @@ def scale_factor_plan(factory: Mapping[str, Any], *, quality: str = "standard", 
     q, pair = _quality(quality), []
     speed = SPEEDS["quick"].speed_deg_s
     for sign, name in ((1.0, "p"), (-1.0, "n")):
-        pair.append(_precession_step(factory, f"vir_{name}", sign * speed, 1))
+        pair.append(precession_step(factory, f"vir_{name}", sign * speed, 1))
     steps = [*scale_factor_steps(factory, quality), Step("free", _wave(factory), q.free_s, SETTLE_S), *pair]
     return Plan("scale_factor", tuple(steps), limits or Limits(), _mission(factory))
 
@@ -106,12 +107,12 @@ def virtual_precession_steps(factory: Mapping[str, Any], quality: str) -> list[S
         Step("free_0", _wave(factory), q.free_s, SETTLE_S),
     ]
     # an eighth of a turn on, where the axes of damping and stiffness that the first free run did not see have their part
-    steps += [_precession_step(factory, "turn", speed, 0.5), Step("free_1", _wave(factory), q.free_s, SETTLE_S)]
+    steps += [precession_step(factory, "turn", speed, 0.5), Step("free_1", _wave(factory), q.free_s, SETTLE_S)]
     for share in SHARES[1:]:
-        steps.append(_precession_step(factory, f"vir_x{share:g}", share * speed, 1))
+        steps.append(precession_step(factory, f"vir_x{share:g}", share * speed, 1))
     for turn in range(q.rounds):
         senses = ((1.0, "p"), (-1.0, "n")) if turn % 2 == 0 else ((-1.0, "n"), (1.0, "p"))
-        steps += [_precession_step(factory, f"vir_{name}_{turn}", sign * speed, q.periods) for sign, name in senses]
+        steps += [precession_step(factory, f"vir_{name}_{turn}", sign * speed, q.periods) for sign, name in senses]
     return steps
 
 
@@ -159,13 +160,14 @@ def nominal_gain(factory: Mapping[str, Any]) -> float:
     return float(kappa) * _amplitude(factory) / abs(float(nominal["x"]))
 
 
-def _precession_step(factory: Mapping[str, Any], label: str, speed_deg_s: float, periods: float) -> Step:
-    """Virtual precession at about this speed for so many periods of 4 theta."""
-    k_vir = 0.5 * nominal_gain(factory) / _amplitude(factory)
+def precession_step(factory: Mapping[str, Any], label: str, speed_deg_s: float, periods: float, *, share: float = 1.0) -> Step:
+    """Virtual precession at about this speed for so many periods of 4 theta, at a share of the mission's amplitude."""
+    amplitude = share * _amplitude(factory)
+    k_vir = 0.5 * nominal_gain(factory) / amplitude
     speed = math.radians(speed_deg_s)
     most = MOST_SHARE * _full_scale(factory) * k_vir
     speed = math.copysign(min(abs(speed), most), speed)
-    command = Command("whole_angle", setpoints=Setpoints(_amplitude(factory), virtual_precession_v=speed / k_vir))
+    command = Command("whole_angle", setpoints=Setpoints(amplitude, virtual_precession_v=speed / k_vir))
     return Step(label, command, MARGIN * periods * 0.5 * math.pi / abs(speed), SETTLE_S)
 
 

@@ -15,7 +15,7 @@ from .columns import Column
 from .evidence import CampaignEvidence
 from .forms import Linear, Setting
 from .noise import first_noise, measured_noise
-from .nuisance import frequency_columns, linear_columns, linear_of, target_of, thermal_columns, wander_columns
+from .nuisance import frequency_columns, linear_columns, linear_of, target_of, thermal_columns, wander_columns, with_wander
 from .preflight import check_linear
 from .screen import Candidate, Screener
 from .system import NoiseByRole, Solution, Whitener, solve
@@ -23,8 +23,8 @@ from .system import NoiseByRole, Solution, Whitener, solve
 __all__ = ["CampaignModel", "look_at"]
 
 ComplexArray = NDArray[np.complex128]
-#: resonance wander between records before it is known, over its frequency; and the least that is believed
-_WANDER, _LEAST_WANDER = 5e-8, 2e-8
+#: resonance wander between records before it is known, over its frequency; least and most that are believed, over that
+_WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 #: of the settings of a gridded effect, how many the saturated model holds
 _SATURATED_SETTINGS = 4
 
@@ -124,9 +124,27 @@ def look_at(
     noise, excess = measured_noise(evidence, _saturated(nuisances, candidates), of_rate, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
+    nuisances = with_wander(nuisances, _wander(evidence, _saturated(nuisances, candidates), whitener, target, wander))
     base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))
     report(1.0, "noise")
     return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, Screener(whitener, nuisances, target), base)
+
+
+def _wander(
+    evidence: CampaignEvidence, saturated: list[Column], whitener: Whitener, target: list[ComplexArray], before: float
+) -> dict[str, float]:
+    """How the resonance moves between and within recordings, while everything that could be an effect is allowed for."""
+    solution = solve(saturated, whitener.design(saturated, len(evidence)), whitener.rows(target))
+    found = {}
+    for kind in ("shift", "slide"):
+        places = [
+            k
+            for k, c in enumerate(solution.columns)
+            if c.name.split("_")[0] == kind and evidence.recordings[int(c.name.split("_")[1])].is_wave
+        ]
+        squares = solution.values[places] ** 2 + np.diag(solution.covariance)[places]
+        found[kind] = float(np.clip(np.sqrt(squares.mean()), _LEAST_WANDER * before, _MOST_WANDER * before)) if places else before
+    return found
 
 
 def _nuisances(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float) -> list[Column]:

@@ -6,7 +6,8 @@ an effect of the same form shows only where it is larger than a healthy device h
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,16 @@ from .columns import QUIET, SIGNAL, Column, form_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .forms import FORMS, Linear
 
-__all__ = ["frequency_columns", "linear_columns", "linear_of", "quiet_target_of", "target_of", "thermal_columns", "wander_columns"]
+__all__ = [
+    "frequency_columns",
+    "linear_columns",
+    "linear_of",
+    "quiet_target_of",
+    "target_of",
+    "thermal_columns",
+    "wander_columns",
+    "with_wander",
+]
 
 ComplexArray = NDArray[np.complex128]
 
@@ -32,6 +42,8 @@ _DISPERSION, _SKEWED_RATE = 5e-3, 0.05
 _KAPPA = 3e-4
 #: how late a temperature sensor is [s]
 _SENSOR_LAG_S = 0.03
+#: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
+_FEEDTHROUGH, _ROW_MOMENT = 2e-3, 1.0
 _TURNED_RAD = np.pi
 _TEMPERATURE_SPAN_K = 0.5
 
@@ -70,8 +82,9 @@ def linear_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> li
             place = f"{'xy'[a]}{'xy'[b]}"
             columns += _collected(f"A_{place}", evidence, lambda r, p, a=a, b=b: p.pick[:, a, b])
             columns += _collected(f"G_{place}", evidence, lambda r, p, a=a, b=b: p.drive[:, a, b])
-            if open_drive:
-                columns += _collected(f"E_{place}", evidence, lambda r, p, a=a, b=b: p.drive_rate[:, a, b])
+            # without open drive a feedthrough of usual size is allowed for, not taken to be absent
+            known = np.inf if open_drive else _FEEDTHROUGH
+            columns += _collected(f"E_{place}", evidence, lambda r, p, a=a, b=b: p.drive_rate[:, a, b], known)
             if len(open_drive) > 1:
                 columns += _collected(
                     f"dispersion_{place}",
@@ -97,7 +110,23 @@ def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
         ("rate_skew", lambda r, p: p.rate_pick[:, 0, 0] - p.rate_pick[:, 1, 1]),
     ):
         columns += _collected(name, evidence, f, _SKEWED_RATE)
-    return columns
+    return columns + _blurred_steps(evidence)
+
+
+def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
+    """A step of the table as the recorder's filter blurs it: to second order its curvature times half the filter's second moment."""
+    sides = []
+    for place in (SIGNAL, QUIET):
+        vectors = []
+        for r in evidence:
+            s = r.signals
+            curvature = np.gradient(np.gradient(s.rate_rad_s, s.row_s), s.row_s)[:, None]
+            vectors.append(
+                r.turn * place.projector(r).plain((curvature * np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1))[:, None, :])[:, 0]
+            )
+        sides.append(tuple(vectors))
+    row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
+    return [Column("table_blur", sides[0], sides[1], _ROW_MOMENT * row_s**2)]
 
 
 def target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
@@ -161,6 +190,11 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     ):
         columns += _form(evidence, linear, name, {"g_x": size, "g_y": size})
     return columns
+
+
+def with_wander(columns: Sequence[Column], wander_rad_s: Mapping[str, float]) -> list[Column]:
+    """The same columns with another wander, by ``shift`` and ``slide``."""
+    return [replace(c, prior_sd=wander_rad_s[kind]) if (kind := c.name.split("_")[0]) in wander_rad_s else c for c in columns]
 
 
 def wander_columns(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
 from ..calibration.record import CalibrationRecord
 from ..calibration.store import RecordMissingError, RecordStore
@@ -58,6 +59,11 @@ class CalibrationInForce:
     def store(self) -> RecordStore | None:
         """Where records of the bound device live; None until a device is bound."""
         return self._store
+
+    @property
+    def path(self) -> Path:
+        """File of the bound device's records; StoreError until a device is bound."""
+        return self._bound().path
 
     def bind(self, device_id: str) -> None:
         """Load the last good record of ``device_id`` and put it in force.

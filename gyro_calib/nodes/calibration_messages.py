@@ -154,7 +154,7 @@ def status_message(
         What is wrong outside a run (no stream, a refused record), "" for nothing.
     """
     sentences = [status.message]
-    level = _LEVELS.get(status.state, DiagnosticStatus.OK)
+    level = _LEVELS.get(status.state, DiagnosticStatus.WARN if status.attention else DiagnosticStatus.OK)
     if status.state in _LEVELS:
         verb = "failed" if status.state is RunState.FAILED else "cancelled"
         sentences = [
@@ -171,7 +171,7 @@ def status_message(
 
 
 def status_values(status: RunStatus) -> dict[str, object]:
-    """``run``, ``state``, ``fraction``, ``eta_s``, ``message``, then each result under its name and unit."""
+    """``run``, ``state``, ``fraction``, ``eta_s``, ``message``, then each result under its name and unit, then the facts."""
     values: dict[str, object] = {
         "run": status.run_id,
         "state": status.state.value,
@@ -181,7 +181,7 @@ def status_values(status: RunStatus) -> dict[str, object]:
     }
     for name, found in status.results.items():
         values |= _quantity(name, found)
-    return values
+    return {**values, **status.facts}
 
 
 def self_test_response(response: Any, device_id: str, checks: Iterable[SelfCheck]) -> Any:

@@ -45,8 +45,10 @@ from .calibration_parameters import check_parameters, declare_parameters, read_p
 from .calibration_runs import RUNS, CalibrationRun, KeptRecordings
 from .calibration_topics import CalibrationTopics
 from .compensation_keeper import CompensationKeeper
+from .gap_run import GapRun
 from .gyro_client import GyroClient
 from .gyro_watch import GyroFacts, GyroWatch, MonitoredInstrument
+from .recording_run import RecordingRun
 from .run_manager import Outcome, Reply, RunHandle, RunManager, RunState, RunStatus
 from .runtime import LATCHED_QOS, close_on_signal, make_executor, spin
 from .self_checks import check_device, check_record, check_store, check_stream
@@ -79,7 +81,7 @@ class CalibrationNode(Node):
         self._said: DiagnosticStatus | None = None
         #: the device whose records are kept, the one that the driver reports, and why that is not the same
         self._bound = self._present = self._refusal = ""
-        self._work: CalibrationRun | None = None
+        self._work: RecordingRun | None = None
         self._kept = KeptRecordings()
         self._runs = RunManager(self._on_run, lambda text: self.get_logger().error(text))
         self._in_force = CalibrationInForce(settings.record_url, self._on_calibration)
@@ -145,17 +147,22 @@ class CalibrationNode(Node):
             plan, verify = kind.plans(facts.factory, quality=settings.plan_quality, limits=settings.limits)
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise DataError(f"Factory data of the gyro must be usable, but got {facts.factory!r} ({error}). Correct the driver.") from error
-        work = CalibrationRun(
-            self._instrument,
-            kind,
-            plan,
-            kept=self._kept,
-            confirm=lambda: self._confirm(facts.device_id),
-            adopt=partial(self._in_force.adopt, save=settings.autosave),
-            artifacts=Path(settings.artifacts_dir).expanduser() if settings.artifacts_dir else None,
-            verify=verify,
-            in_force=lambda: self._in_force.record,
-        )
+        artifacts = Path(settings.artifacts_dir).expanduser() if settings.artifacts_dir else None
+        work: RecordingRun
+        if kind.diagnoses:
+            work = GapRun(self._instrument, plan, beside=self._in_force.path, artifacts=artifacts)
+        else:
+            work = CalibrationRun(
+                self._instrument,
+                kind,
+                plan,
+                kept=self._kept,
+                confirm=lambda: self._confirm(facts.device_id),
+                adopt=partial(self._in_force.adopt, save=settings.autosave),
+                artifacts=artifacts,
+                verify=verify,
+                in_force=lambda: self._in_force.record,
+            )
         reply = self._runs.request(name, partial(self._carry_out, facts.device_id, work))
         if not reply.accepted:
             return reply
@@ -214,7 +221,7 @@ class CalibrationNode(Node):
 
     # -- the run's thread -----------------------------------------------------------------------------------------------------------
 
-    def _carry_out(self, device_id: str, work: CalibrationRun, run: RunHandle) -> Outcome:
+    def _carry_out(self, device_id: str, work: RecordingRun, run: RunHandle) -> Outcome:
         self._instrument.cancelled = run.cancelled
         self._instrument.connect()
         _same_device(device_id, self._instrument.device_id)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +22,11 @@ from ..estimation import CalibrationResult, calibrate
 from ..experiments import (
     Instrument,
     Plan,
-    Progress,
     compensation_in_force,
     cubic_plan,
     feedthrough_plan,
+    gap_plan,
     mission_mode,
-    run_plan,
     scale_factor_plan,
     self_calibration_plan,
     sideband_plan,
@@ -36,9 +34,9 @@ from ..experiments import (
 )
 from ..quantity import Quantity
 from ..recording.command import Command
-from ..recording.hdf5 import write_campaign_h5
-from ..recording.recording import Campaign, Recording
+from ..recording.recording import Campaign
 from ..units import DEG_H, deg_h
+from .recording_run import RecordingRun
 from .run_manager import Outcome, RunHandle
 
 __all__ = ["RUNS", "CalibrationRun", "KeptRecordings", "PlanBuilder", "RunKind", "record_results"]
@@ -64,6 +62,8 @@ class RunKind:
         Beginning of the mission modes that the run is for: ``"ftr"``, ``"whole_angle"``, ``""`` for any.
     renews_scale_factor : bool
         Only the scale factor of the record in force is renewed, where there is one for the same mode and compensation.
+    diagnoses : bool
+        The recordings are for a diagnosis of the gap (:mod:`.gap_run`); the calibration in force is not touched.
     """
 
     plan: PlanBuilder
@@ -72,6 +72,7 @@ class RunKind:
     verify: PlanBuilder | None = None
     missions: str = ""
     renews_scale_factor: bool = False
+    diagnoses: bool = False
 
     def check(self, factory: Mapping[str, Any]) -> None:
         """Refuse a gyro that the run is not for, before it is touched; DataError with the remedy."""
@@ -102,6 +103,7 @@ RUNS: dict[str, RunKind] = {
         scale_factor_plan, True, "ring-down, ring-up, stiffness control", missions="whole_angle", renews_scale_factor=True
     ),
     "run_feedthrough": RunKind(feedthrough_plan, False, "open drive and body excitation off resonance, kept for the runs that follow"),
+    "diagnose_gap": RunKind(gap_plan, False, "where and by which effect the gyro differs from its model", diagnoses=True),
 }
 
 
@@ -123,7 +125,7 @@ class KeptRecordings:
         return Campaign(campaign.device_id, (*kept.recordings, *campaign.recordings), campaign.factory)
 
 
-class CalibrationRun:
+class CalibrationRun(RecordingRun):
     """The work of one run, for :meth:`.run_manager.RunManager.request`.
 
     Parameters
@@ -161,16 +163,11 @@ class CalibrationRun:
         verify: Plan | None = None,
         in_force: Callable[[], CalibrationRecord | None] = lambda: None,
     ) -> None:
-        self._instrument = _Watched(instrument)
-        self._kind, self._plan, self._kept = kind, plan, kept
-        self._confirm, self._adopt, self._artifacts = confirm, adopt, artifacts
+        super().__init__(instrument, plan, artifacts)
+        self._kind, self._kept = kind, kept
+        self._confirm, self._adopt = confirm, adopt
         self._verify, self._in_force = verify, in_force
-        self._leg = Leg(1, plan, 0.0, plan.duration_s)
-        self._run: RunHandle | None = None
-        self._progress: Progress | None = None
-        self._started_s = self._fraction = 0.0
         self._rounds: dict[str, Quantity] = {}
-        self._last_round = ""
 
     def __call__(self, run: RunHandle) -> Outcome:
         """Carry the run out; see :class:`CalibrationRun` for what it changes and when."""
@@ -186,61 +183,6 @@ class CalibrationRun:
         run.commit()
         self._put_in_force(record, mission, rest)
         return Outcome(" ".join(filter(None, [_sentence(record), self._last_round])), {**record_results(record), **self._rounds})
-
-    def heartbeat(self, recorded_fraction: float) -> None:
-        """Report the progress inside a step; ``recorded_fraction`` is what the instrument has of the present recording, 0 to 1."""
-        run, now, plan = self._run, self._progress, self._leg.plan
-        if run is None or now is None or not self._instrument.recording:
-            return
-        step = plan.steps[now.step_index]
-        fraction = self._leg.fraction(now.fraction + recorded_fraction * step.duration_s / plan.duration_s)
-        elapsed_s = time.monotonic() - self._started_s
-        self._tell(run, fraction, elapsed_s * (1.0 - fraction) / fraction if fraction > 0 else math.nan, now)
-
-    # -- recordings ---------------------------------------------------------------------------------------------------------------
-
-    def _tell(self, run: RunHandle, fraction: float, eta_s: float, progress: Progress) -> None:
-        # two threads tell: a heartbeat that comes late must not turn the progress back
-        self._fraction = fraction = max(fraction, self._fraction)
-        step = f"step {progress.step_index + 1} of {progress.steps}: {progress.step_label}"
-        # the last call comes when all is recorded
-        message = step if progress.step_label else "recordings complete"
-        # the topic keeps its last message only: what a round found is said as long as the next one takes
-        run.progress(fraction, eta_s, f"round {self._leg.number}, {message}; {self._last_round}" if self._last_round else message)
-
-    def _told(self, leg: Leg, progress: Progress) -> None:
-        self._progress = progress
-        assert self._run is not None
-        fraction = leg.fraction(progress.fraction)
-        elapsed_s = time.monotonic() - self._started_s
-        self._tell(self._run, fraction, elapsed_s * (1.0 - fraction) / fraction if fraction > 0 else math.nan, progress)
-
-    @contextlib.contextmanager
-    def _recording(self, run: RunHandle, rest: Command) -> Iterator[None]:
-        """Progress is told meanwhile; in the end the gyro is in its mission, or that is said."""
-        self._run, self._started_s = run, time.monotonic()
-        try:
-            yield
-        finally:
-            self._run = None
-            if not self._instrument.rests_in(rest):
-                run.note(f"The gyro may not be back in its mission command ({rest.mode}): set its parameters, or restart its driver.")
-
-    def _record(self, run: RunHandle, rest: Command) -> Campaign:
-        plan = self._plan.with_compensation(rest.compensation)
-        with self._recording(run, rest):
-            return run_plan(self._instrument, plan, on_progress=lambda p: self._told(self._leg, p), cancelled=run.cancelled)
-
-    def _write(self, run: RunHandle, campaign: Campaign) -> None:
-        """Keep the recordings as a file, whatever comes of the estimate; a disk that refuses does not end the run."""
-        if self._artifacts is None:
-            return
-        try:
-            folder = self._artifacts / run.run_id
-            folder.mkdir(parents=True, exist_ok=True)
-            write_campaign_h5(folder / "campaign.h5", campaign)
-        except (OSError, GyroCalibError) as error:
-            run.note(f"The recordings could not be written: {error}.")
 
     # -- from recordings to a record ------------------------------------------------------------------------------------------------
 
@@ -312,44 +254,6 @@ class CalibrationRun:
             with contextlib.suppress(GyroCalibError):
                 self._instrument.configure(rest)
             raise
-
-
-class _Watched:
-    """An instrument that remembers whether its last command was taken."""
-
-    def __init__(self, instrument: Instrument) -> None:
-        self._instrument = instrument
-        self._touched = False
-        self._taken: Command | None = None
-        self.recording = False
-
-    def rests_in(self, command: Command) -> bool:
-        """Whether the gyro is as it was found, or ``command`` is the last that it took."""
-        return not self._touched or self._taken == command
-
-    @property
-    def device_id(self) -> str:
-        return self._instrument.device_id
-
-    @property
-    def factory(self) -> dict[str, Any]:
-        return self._instrument.factory
-
-    @property
-    def command(self) -> Command:
-        return Command(compensation=compensation_in_force(self._instrument))
-
-    def configure(self, command: Command) -> None:
-        self._touched, self._taken = True, None
-        self._instrument.configure(command)
-        self._taken = command
-
-    def record(self, duration_s: float, *, settle_s: float = 0.0, label: str = "") -> Recording:
-        self.recording = True
-        try:
-            return self._instrument.record(duration_s, settle_s=settle_s, label=label)
-        finally:
-            self.recording = False
 
 
 def record_results(record: CalibrationRecord) -> dict[str, Quantity]:

@@ -30,7 +30,7 @@ _DEFAULT_AXES: dict[int, list[float]] = {
 #: name -> default, lowest, highest, description
 _NUMBERS: dict[str, tuple[float, float, float, str]] = {
     "covariance_horizon_s": (60.0, 1e-3, 1e9, "Mode horizon: time over which integrating independent samples shall be honest [s]."),
-    "noise_bandwidth_hz": (0.0, 0.0, 1e6, "Noise-equivalent bandwidth of rate_raw [Hz]; 0 for half of the sample rate."),
+    "noise_bandwidth_hz": (0.0, 0.0, 1e6, "Noise bandwidth [Hz]: variance at rest over density squared; 0: half of the sample rate."),
     "bias_drift_sd_rad_s": (0.0, 0.0, 10.0, "How far the bias moves between calibration and use, 1 sigma [rad/s]; adds to the record's."),
     "out_of_validity_sd_factor": (10.0, 1.0, 1e6, "Factor on the sd of bias and scale factor outside the validity of the record [1]."),
     "uncalibrated_bias_sd_rad_s": (2000.0 * DEG_H, 0.0, 10.0, "Bias of an uncalibrated gyro, 1 sigma [rad/s], from its data sheet."),

@@ -192,14 +192,17 @@ class GyroSimNode(Node):
     def _take_true_rate(self, message: Any) -> None:
         stamp = message.header.stamp.sec * _NS + message.header.stamp.nanosec
         rate = getattr(message.twist.angular, self._settings.gyro_axis)
-        since_start_s = (stamp - self._pacer.stamp_ns(0.0)) / _NS if stamp else None
-        if abs(rate) > _FASTEST_RAD_S or not self._input.push(rate, since_start_s):
+        start = self._pacer.stamp_ns(0.0)
+        since_start_s = (stamp - start) / _NS if stamp and self._pacer.started else None
+        clock_s = -np.inf if self._owns_clock else (self.get_clock().now().nanoseconds - start) / _NS
+        if abs(rate) > _FASTEST_RAD_S or not self._input.push(rate, since_start_s, clock_s):
             self.get_logger().warning(
                 f"true_rate must be finite and within {_FASTEST_RAD_S:g} rad/s, but got {rate!r}. The one before stays.",
                 throttle_duration_sec=5.0,
             )
 
     def _say_jump(self, lag_s: float) -> None:
+        self._input.catch_up()
         if lag_s > 0:
             self.get_logger().warning(
                 f"Simulation must keep up with the clock, but lags {lag_s:.1f} s: stamps jump ahead. "
@@ -299,8 +302,14 @@ def _declare_settings(node: Any) -> Settings:
     }
     for name, (default, text) in declared.items():
         lo, hi = ranges.get(name, (None, None))
-        node.declare_parameter(name, default, describe(text, lo=lo, hi=hi, read_only=True))
-    settings = Settings(**{name: node.get_parameter(name).value for name in declared})
+        descriptor = describe(text, lo=lo, hi=hi, read_only=True)
+        # a bare y in a parameter file is a boolean to ROS
+        descriptor.dynamic_typing = name == "gyro_axis"
+        node.declare_parameter(name, default, descriptor)
+    values = {name: node.get_parameter(name).value for name in declared}
+    if values["gyro_axis"] is True:
+        values["gyro_axis"] = "y"
+    settings = Settings(**values)
     if settings.gyro_axis not in ("x", "y", "z"):
         raise DataError(f"Parameter gyro_axis must be x, y or z, but got {settings.gyro_axis!r}.")
     node.declare_parameter(

@@ -16,6 +16,10 @@ _LONGEST_WAIT_S = 0.05
 class Pacer(Protocol):
     """Decides how long to wait before device time may reach a mark."""
 
+    @property
+    def started(self) -> bool:
+        """Whether the place of device time on the ROS time axis is known."""
+
     def wait_s(self, mark_s: float) -> float:
         """How long to wait before asking again [s]; 0: device time ``mark_s`` may be simulated now."""
 
@@ -41,6 +45,11 @@ class FreeRun:
         self._epoch_ns = round(epoch_s * _NS)
         self._now = now
         self._start: float | None = None
+
+    @property
+    def started(self) -> bool:
+        """See :class:`Pacer`."""
+        return True
 
     def wait_s(self, mark_s: float) -> float:
         """See :class:`Pacer`."""
@@ -87,6 +96,11 @@ class FollowClock:
         self._tolerance_s = tolerance_s
         self._longest_wait_s = longest_wait_s
         self._epoch_ns: int | None = None
+
+    @property
+    def started(self) -> bool:
+        """See :class:`Pacer`."""
+        return self._epoch_ns is not None
 
     def wait_s(self, mark_s: float) -> float:
         """See :class:`Pacer`."""

@@ -17,15 +17,15 @@ FloatArray = NDArray[np.float64]
 class RateInput:
     """Zero-order hold of a stamped rate, filled by one thread and read by another.
 
-    Each value holds from its stamp until the next one. A stamp that is absent, already simulated, or further than ``window_s``
-    from the time simulated so far (a publisher on another clock) counts as "from now on".
+    Each value holds from its stamp until the next one. A stamp that is absent, already simulated, or more than ``window_s`` in the
+    future (a publisher on another clock) counts as "from now on".
 
     Parameters
     ----------
     timeout_s : float
         Device time after which a value that nobody renews counts as 0; 0 holds it for ever [s].
     window_s : float
-        Stamps further off than this are not believed [s].
+        Stamps further ahead than this are not believed [s].
     depth : int
         Values kept that are not yet due; older ones go first.
     """
@@ -44,7 +44,7 @@ class RateInput:
         """Whether a rate was given once and has timed out."""
         return self._stale
 
-    def push(self, rate_rad_s: float, stamp_s: float | None = None) -> bool:
+    def push(self, rate_rad_s: float, stamp_s: float | None = None, clock_s: float = -math.inf) -> bool:
         """Take a value.
 
         Parameters
@@ -53,6 +53,9 @@ class RateInput:
             Rate about the sense axis [rad/s].
         stamp_s : float, optional
             Device time from which it holds [s].
+        clock_s : float, optional
+            Device time that the clock which is followed allows [s]: a simulation that lags behind it must not take the rates that it has
+            yet to reach for those of another clock.
 
         Returns
         -------
@@ -63,10 +66,17 @@ class RateInput:
             return False
         with self._lock:
             last = self._pending[-1][0] if self._pending else self._now_s
-            if stamp_s is None or abs(stamp_s - self._now_s) > self._window_s:
+            if stamp_s is None or stamp_s > max(self._now_s, clock_s) + self._window_s:
                 stamp_s = self._now_s
             self._pending.append((max(stamp_s, self._now_s, last), rate_rad_s))
         return True
+
+    def catch_up(self) -> None:
+        """Device time was put elsewhere on the clock: what waits is meant for a time that will not come, its last value holds from now."""
+        with self._lock:
+            if self._pending:
+                self._held = (self._now_s, self._pending[-1][1])
+                self._pending.clear()
 
     def sample(self, times_s: FloatArray) -> FloatArray:
         """Rate at each of ``times_s`` (increasing, after those asked before) [rad/s], same shape."""

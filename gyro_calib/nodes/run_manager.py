@@ -57,6 +57,10 @@ class RunStatus:
         For people: the present step, the outcome, or the reason and the remedy.
     results : mapping of str to Quantity
         What a finished run found.
+    facts : mapping of str to str
+        What it found that is no number, and where its files are.
+    attention : bool
+        What it found should be looked at.
     """
 
     run_id: str = ""
@@ -66,14 +70,18 @@ class RunStatus:
     eta_s: float = math.nan
     message: str = "no run yet"
     results: Mapping[str, Quantity] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+    attention: bool = False
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run that succeeded says: a sentence and its results."""
+    """What a run that succeeded says: a sentence, its results and facts, and whether they should be looked at."""
 
     message: str
     results: Mapping[str, Quantity] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)
+    attention: bool = False
 
 
 @dataclass(frozen=True)
@@ -256,7 +264,8 @@ class RunManager:
         except Exception as error:
             self._fail(error)
             return
-        self._finish(RunState.DONE, outcome.message, fraction=1.0, eta_s=0.0, results=outcome.results)
+        found = {"results": outcome.results, "facts": outcome.facts, "attention": outcome.attention}
+        self._finish(RunState.DONE, outcome.message, fraction=1.0, eta_s=0.0, **found)
 
     def _fail(self, error: Exception) -> None:
         known = isinstance(error, GyroCalibError)

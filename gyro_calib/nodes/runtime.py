@@ -13,6 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from ..errors import GyroCalibError
@@ -97,6 +98,9 @@ def spin(executor: Any, until: Future | None = None) -> None:
 def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Initialise, make the node, serve it until SIGINT, SIGTERM or a shutdown, and take it down.
 
+    A signal ends the spin after the callback it falls into. rclpy's own handlers would shut the context down under that callback, and
+    Python's would throw KeyboardInterrupt into it: the executor then reports a fatal exception where nothing is wrong.
+
     Parameters
     ----------
     make_node : callable
@@ -110,15 +114,19 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     int
         0 after an orderly end, 1 when the node could not be made; otherwise the node's attribute ``exit_code`` if it has one.
     """
-    rclpy.init(args=None if args is None else ["", *args])
+    rclpy.init(args=None if args is None else ["", *args], signal_handler_options=SignalHandlerOptions.NO)
+    # while the node is made nobody serves it: stop there and then
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     node: Node | None = None
     executor: Any = None
     code = 0
+    quiet = Future()
     try:
         node = make_node()
+        close_on_signal(lambda: None, quiet)
         executor = make_executor()
         executor.add_node(node)
-        spin(executor)
+        spin(executor, quiet)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except (GyroCalibError, rclpy.exceptions.InvalidParameterTypeException, rclpy.exceptions.InvalidParameterValueException) as error:

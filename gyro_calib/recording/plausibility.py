@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 _AXES = ("x", "y")
 #: an envelope this close to full scale comes from a converter that clips
 _CLIP_LEVEL = 0.999
+#: an envelope so many times above full scale is not in volts
+_FAR_ABOVE = 5.0
 #: so many equal samples in a row at a channel's extreme are a flat top
 _FLAT_TOP_SAMPLES = 8
 #: so many equal samples in a row of a noisy channel are a frozen one
@@ -73,10 +75,16 @@ def _check_clipping(recording: Recording, factory: Mapping[str, Any], where: str
         for axis, envelope in zip(_AXES, np.abs(envelopes).T, strict=True):
             if (over := envelope >= limit).any():
                 sample = int(np.argmax(over))
+                # no converter gives several times its full scale
+                far = envelope[sample] > _FAR_ABOVE * limit
+                remedy = (
+                    f"it looks like mV. Give the {kind} columns in volts."
+                    if far
+                    else "it clips. Lower the amplitude or the gain, and record again."
+                )
                 raise DataError(
                     f"Channel {axis}_{kind}{where} must stay below its full scale of {factory[name]:g} V ({name}), but got "
-                    f"{envelope[sample]:.6g} V at {_at(recording, sample)}, {int(over.sum())} such samples: it clips. "
-                    "Lower the amplitude or the gain, and record again."
+                    f"{envelope[sample]:.6g} V at {_at(recording, sample)}, {int(over.sum())} such samples: {remedy}"
                 )
     closed = recording.command.mode in ("ftr_x", "ftr_y", "whole_angle")  # an open drive is flat by command
     for name in CHANNELS if closed else _PICK_NAMES:

@@ -12,7 +12,7 @@ from pathlib import Path
 from .style import STYLE
 from .table import Table
 
-__all__ = ["Page", "Panel", "Tile", "render_page", "write_page"]
+__all__ = ["Page", "Panel", "Tile", "Words", "render_page", "write_page"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,14 @@ class Panel:
 
 
 @dataclass(frozen=True)
+class Words:
+    """A section of sentences: ``title``, ``lines``."""
+
+    title: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Page:
     """Everything on a page, in order.
 
@@ -64,6 +72,8 @@ class Page:
         Warnings and limits.
     footer : str
         Where it comes from.
+    words : tuple of Words
+        Sections of sentences below the panels.
     """
 
     title: str
@@ -75,6 +85,7 @@ class Page:
     tables: tuple[Table, ...] = ()
     notes: tuple[str, ...] = ()
     footer: str = ""
+    words: tuple[Words, ...] = ()
 
 
 def render_page(page: Page) -> str:
@@ -85,7 +96,8 @@ def render_page(page: Page) -> str:
         f'<p class="verdict{state}">{_text(page.verdict)}</p>',
         _block("tiles", [_tile(t) for t in page.tiles]),
         _block("panels", [_panel(p) for p in page.panels]),
-        _notes(page.notes),
+        *(_words(w) for w in page.words),
+        _words(Words("Read this too", page.notes)),
         *(_table(t) for t in page.tables),
         f"<footer>{_text(page.footer)}</footer>" if page.footer else "",
     ]
@@ -132,11 +144,11 @@ def _panel(panel: Panel) -> str:
     )
 
 
-def _notes(notes: Sequence[str]) -> str:
-    if not notes:
+def _words(words: Words) -> str:
+    if not words.lines:
         return ""
-    items = "".join(f"<li>{_text(note)}</li>" for note in notes)
-    return f'<section class="notes"><h2>Read this too</h2><ul>{items}</ul></section>'
+    items = "".join(f"<li>{_text(line)}</li>" for line in words.lines)
+    return f'<section class="notes"><h2>{_text(words.title)}</h2><ul>{items}</ul></section>'
 
 
 def _table(table: Table) -> str:

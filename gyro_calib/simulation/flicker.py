@@ -16,7 +16,7 @@ __all__ = ["FLICKER_TIMES_S", "FlickerSource"]
 
 FloatArray = NDArray[np.float64]
 #: correlation times [s]; the floor holds between a second and some hours
-FLICKER_TIMES_S = 0.25 * 4.0 ** np.arange(10)
+FLICKER_TIMES_S: FloatArray = np.asarray(0.25 * 4.0 ** np.arange(10), dtype=np.float64)
 
 
 class FlickerSource:
@@ -39,7 +39,8 @@ class FlickerSource:
         self._floor = floor
         self._channels = channels
         self._keep = np.exp(-row_s / FLICKER_TIMES_S)
-        self._state = floor * rng.standard_normal((FLICKER_TIMES_S.size, channels)) if floor > 0.0 else np.zeros((FLICKER_TIMES_S.size, channels))
+        shape = (FLICKER_TIMES_S.size, channels)
+        self._state = floor * rng.standard_normal(shape) if floor > 0.0 else np.zeros(shape)
 
     def rows(self, count: int) -> FloatArray:
         """Noise of the next rows, shape (count, channels)."""

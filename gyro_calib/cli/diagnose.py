@@ -1,0 +1,134 @@
+"""Diagnose where a device and its simulation differ, by which effect, and how far the gap shrinks."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .console import print_table, print_warnings, progress_bar, say, write_json
+
+if TYPE_CHECKING:
+    from ..device import Device
+    from ..gap import Diagnosis
+    from ..recording.recording import Campaign
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="HDF5 files, ROS 2 bags or folders, of one device")
+    parser.add_argument("--device", metavar="DEVICE", help="nominal or previous device description: a YAML file, or a packaged one")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the diagnosis; - for stdout")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with pictures")
+    parser.add_argument("--patched-device", type=Path, metavar="FILE", help="write the device with what was found, for gyro-calib simulate")
+    parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
+    parser.add_argument("--device-id", metavar="ID", help="identity of the unit, for a bag that lacks it")
+    parser.add_argument("--all", action="store_true", help="print the line of every effect, not only of those found")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Read, diagnose, report."""
+    if arguments.patched_device is not None and arguments.device is None:
+        return _usage("--patched-device needs --device: the description whose linear part and effects are replaced")
+    # many small matrices: threads of the linear algebra cost more than they give, ten times so on a busy machine
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from ..gap import diagnose
+    from ..recording.load import load_campaign
+    from ..report.theme import require_matplotlib
+
+    device = _device(arguments.device)
+    if arguments.html is not None:
+        require_matplotlib()
+    with progress_bar("reading") as report:
+        campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
+    with progress_bar("diagnosing") as report:
+        diagnosis = diagnose(campaign, on_progress=report)
+    diagnosis = with_provenance(diagnosis, arguments.recordings)
+    shown = arguments.json is None or str(arguments.json) != "-"
+    if shown:
+        print_diagnosis(diagnosis, every=arguments.all)
+    print_warnings(diagnosis.warnings)
+    if arguments.json is not None:
+        write_json(arguments.json, diagnosis.to_json())
+    if arguments.html is not None:
+        from ..report.gap_page import write_gap_page
+
+        write_gap_page(arguments.html, diagnosis)
+        if shown:
+            say(f"report: {arguments.html}")
+    if arguments.patched_device is not None and device is not None:
+        _write_patched(arguments.patched_device, device, campaign, diagnosis, shown)
+    return 0
+
+
+def print_diagnosis(diagnosis: Diagnosis, *, every: bool = False) -> None:
+    """The verdict that a person reads in a minute."""
+    from ..report.gap_tables import before_after_table, effects_table, places_table, sentences_of_next, standings_table
+
+    say(f"{diagnosis.device_id}, {diagnosis.recordings} recordings: {diagnosis.verdict}")
+    say(diagnosis.summary)
+    say("")
+    for table in (effects_table(diagnosis), places_table(diagnosis), before_after_table(diagnosis)):
+        print_table(table)
+    if every:
+        print_table(standings_table(diagnosis))
+    following, *others = sentences_of_next(diagnosis)
+    say(f"Next experiment: {following}")
+    for sentence in others:
+        say(f"  {sentence}")
+    if diagnosis.not_testable:
+        say(f"Not testable with these recordings: {', '.join(diagnosis.not_testable)}.")
+
+
+def with_provenance(diagnosis: Diagnosis, paths: Sequence[Path]) -> Diagnosis:
+    """The diagnosis with the version of the package and the hashes of what was read."""
+    from ..paths import package_version
+
+    inputs = [{"name": path.name, "sha256": _sha256(path)} for path in paths]
+    return replace(diagnosis, provenance={**diagnosis.provenance, "package_version": package_version(), "inputs": inputs})
+
+
+def _device(source: str | None) -> Device | None:
+    from ..device import load_device
+
+    return None if source is None else load_device(source)
+
+
+def _write_patched(path: Path, device: Device, campaign: Campaign, diagnosis: Diagnosis, shown: bool) -> None:
+    from ..device import dump_device
+    from ..gap.patch import patch_notes, patched_device, with_factory_data
+
+    patched = patched_device(with_factory_data(device, campaign.factory, diagnosis), diagnosis)
+    notes = patch_notes(patched, diagnosis)
+    dump_device(patched, path, notes)
+    if shown:
+        say(f"patched device: {path}")
+        for note in notes[2:4]:
+            say(f"  {note}")
+
+
+def _sha256(path: Path) -> str:
+    """Of a file, or of the files of a folder in the order of their names."""
+    digest = hashlib.sha256()
+    for file in _files(path):
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
+
+
+def _files(path: Path) -> Iterator[Path]:
+    if path.is_dir():
+        yield from sorted(file for file in path.rglob("*") if file.is_file())
+    else:
+        yield path
+
+
+def _usage(text: str) -> int:
+    print(f"gyro-calib diagnose: {text}", file=sys.stderr)
+    return 2

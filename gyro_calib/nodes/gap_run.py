@@ -1,0 +1,121 @@
+"""The run that diagnoses the gap: the campaign is recorded, diagnosed, kept as JSON and page; the calibration in force stays."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..calibration import FactoryStore, with_factory_record
+from ..calibration.files import locked_directory, make_directory, replace_text
+from ..errors import ExperimentAborted, GyroCalibError
+from ..experiments import Instrument, Plan, compensation_in_force
+from ..quantity import Quantity
+from ..recording.recording import Campaign
+from .recording_run import RecordingRun
+from .run_manager import Outcome, RunHandle
+
+if TYPE_CHECKING:
+    from ..gap import Diagnosis
+
+__all__ = ["GapRun"]
+
+#: wait for another writer beside the records [s]
+_LOCK_TIMEOUT_S = 10.0
+
+
+class GapRun(RecordingRun):
+    """The work of ``diagnose_gap``.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        The gyro.
+    plan : Plan
+        Of :mod:`gyro_calib.experiments.gap_plans`.
+    beside : Path
+        The file of the gyro's records; ``<stem>.gap.json`` and ``<stem>.gap.html`` are written beside it, the last diagnosis only.
+    artifacts : Path, optional
+        As of :class:`.recording_run.RecordingRun`.
+    """
+
+    def __init__(self, instrument: Instrument, plan: Plan, *, beside: Path, artifacts: Path | None = None) -> None:
+        super().__init__(instrument, plan, artifacts)
+        self._beside = beside
+
+    def __call__(self, run: RunHandle) -> Outcome:
+        """Record, diagnose, keep; nothing that the gyro or its corrector use is changed."""
+        rest = replace(self._plan.final, compensation=compensation_in_force(self._instrument))
+        campaign = self._record(run, rest)
+        self._write(run, campaign)
+        diagnosis = _diagnosed(run, campaign)
+        run.commit()
+        for sentence in self._plan.left_out:
+            run.note(sentence)
+        facts = {**_facts(diagnosis), **self._kept(run, diagnosis)}
+        return Outcome(f"{diagnosis.verdict}: {diagnosis.summary}", _results(diagnosis), facts, diagnosis.verdict != "none")
+
+    def _kept(self, run: RunHandle, diagnosis: Diagnosis) -> dict[str, str]:
+        """Paths of what was written; a disk or a missing plotting library that refuses does not take the verdict away."""
+        written: dict[str, str] = {}
+        path = self._beside.with_suffix(".gap.json")
+        try:
+            make_directory(path.parent)
+            with locked_directory(path.parent, _LOCK_TIMEOUT_S):
+                replace_text(path, json.dumps(diagnosis.to_json(), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+            written["gap.json"] = str(path)
+            from ..report.gap_page import write_gap_page
+
+            page = self._beside.with_suffix(".gap.html")
+            write_gap_page(page, diagnosis)
+            written["gap.html"] = str(page)
+        except (OSError, ImportError, ValueError, GyroCalibError) as error:
+            run.note(f"The diagnosis could not be written in full: {error}.")
+        return written
+
+
+def _diagnosed(run: RunHandle, campaign: Campaign) -> Diagnosis:
+    from ..gap import diagnose  # takes a moment to load, and no other run needs it
+
+    def told(fraction: float, what: str) -> None:
+        if run.cancelled():
+            raise ExperimentAborted("Run was cancelled during the diagnosis.")
+        run.estimating(f"diagnosing {len(campaign)} recordings, {fraction:.0%}: {what}")
+
+    told(0.0, "reading")
+    factory = FactoryStore(None, campaign.device_id).load()
+    return diagnose(with_factory_record(campaign, factory), on_progress=told)
+
+
+def _facts(diagnosis: Diagnosis) -> dict[str, str]:
+    """Verdict and names, one key each."""
+    facts = {"verdict": diagnosis.verdict}
+    for number, effect in enumerate(diagnosis.effects, 1):
+        facts[f"effect_{number}"] = effect.name
+        facts[f"effect_{number}.group"] = ", ".join(effect.group)
+        facts[f"effect_{number}.probability"] = f"{effect.probability:.3f}"
+    if diagnosis.unknown is not None:
+        facts |= {f"unknown.{key}": str(getattr(diagnosis.unknown, key)) for key in ("location", "form", "nearest")}
+    facts["not_testable"] = ", ".join(diagnosis.not_testable)
+    facts["next_experiment"] = diagnosis.next_experiment.description
+    if diagnosis.warnings:
+        facts["warnings"] = "; ".join(diagnosis.warnings)
+    return facts
+
+
+def _results(diagnosis: Diagnosis) -> dict[str, Quantity]:
+    """Numbers with their units: sizes of the effects, and how far the gap shrinks on unseen experiments."""
+    found = {f"{effect.name}.{name}": size for effect in diagnosis.effects for name, size in effect.parameters.items()}
+    gap = diagnosis.gap
+    found |= {
+        "gap.rms_over_noise.before": Quantity(gap.rms_before, 0.0, "1"),
+        "gap.rms_over_noise.after": Quantity(gap.rms_after, 0.0, "1"),
+        "gap.closed_fraction": gap.closed_fraction,
+        "gap.bias.before": gap.bias_before,
+        "gap.bias.after": gap.bias_after,
+        "gap.scale_factor.before": gap.scale_before,
+        "gap.scale_factor.after": gap.scale_after,
+    }
+    return {name: quantity for name, quantity in found.items() if math.isfinite(quantity.value)}

@@ -1,0 +1,122 @@
+"""A diagnosis as rows of text, once for the terminal and the page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..gap.diagnosis import Alternative, Diagnosis, FoundEffect, Standing
+from ..quantity import Quantity
+from .table import Table, number, quantity_cells
+
+__all__ = ["before_after_table", "effects_table", "places_table", "sentences_of_next", "standings_table", "status_words"]
+
+#: effects that are named of those that an experiment decides
+_NAMED = 6
+
+
+def effects_table(diagnosis: Diagnosis) -> Table:
+    """What was found: sizes, probability, and what these data cannot tell from it."""
+    rows = []
+    for effect in diagnosis.effects:
+        for k, (name, quantity) in enumerate(effect.parameters.items()):
+            value, sd, unit = quantity_cells(quantity)
+            first = (effect.name, f"{100.0 * effect.probability:.1f} %", effect.location, _others(effect)) if k == 0 else ("", "", "", "")
+            rows.append((first[0], f"{name} = {value} ± {sd} {unit}", *first[1:]))
+    rows.append(("none of any kind", "", _percent(diagnosis.probability_none), "", ""))
+    rows.append(("not in the catalogue", "", _percent(diagnosis.probability_unknown), "", ""))
+    return Table("Which effects", ("effect", "size", "probability", "acts in", "cannot be told from"), tuple(rows))
+
+
+def places_table(diagnosis: Diagnosis, count: int = 3) -> Table:
+    """The worst places of the map."""
+    rows = tuple(
+        (
+            cell.experiment,
+            cell.channel,
+            cell.feature,
+            cell.quadrature.removeprefix("in phase with "),
+            f"{cell.left_out:.3g}",
+            f"{100.0 * cell.share:.1f} %",
+        )
+        for cell in diagnosis.map[:count]
+        if cell.share > 0.0
+    )
+    header = ("experiment", "channel", "line", "in phase with", "times its noise", "share of the gap")
+    return Table("Where the gap lies, the worst places", header, rows, "" if rows else "No place stands out of the noise.")
+
+
+def before_after_table(diagnosis: Diagnosis) -> Table:
+    """How far the gap shrinks on experiments that the sizes were not found on."""
+    gap = diagnosis.gap
+    rows = (
+        ("misfit, rms over noise (1: noise alone)", f"{gap.rms_before:.3g}", f"{gap.rms_after:.3g}", ""),
+        ("rate left unexplained [deg/h]", _plain(gap.bias_before), _plain(gap.bias_after), f"{gap.bias_after.sd:.2g}"),
+        ("bend of the scale factor [ppm]", _plain(gap.scale_before), _plain(gap.scale_after), f"{gap.scale_after.sd:.2g}"),
+    )
+    caption = (
+        f"{100.0 * gap.closed_fraction.value:.1f} ± {100.0 * gap.closed_fraction.sd:.2g} % of the gap is closed."
+        if diagnosis.effects and gap.closed_fraction.sd < 1.0
+        else ""
+    )
+    return Table("Before and after, on experiments that were not used for finding it", ("", "before", "after", "sd"), rows, caption)
+
+
+def standings_table(diagnosis: Diagnosis) -> Table:
+    """Every effect of the registry: present, excluded above a size, cannot tell, not testable."""
+    probability = {name: e.probability for e in diagnosis.effects for name in e.group}
+    rows = tuple(
+        (
+            s.name,
+            status_words(s),
+            f"{100.0 * probability[s.name]:.1f} %" if s.name in probability else "",
+            s.location,
+            f"{s.gain:.1f}",
+            f"{100.0 * s.absorbed:.0f} %",
+        )
+        for s in diagnosis.standings
+    )
+    header = ("effect", "what the recordings say", "probability", "acts in", "chi-square", "absorbed")
+    caption = (
+        "Probability: of the group that an effect stands in. Chi-square: what the effect would take away beside those found. "
+        "Absorbed: share that the constants of a linear device take up."
+    )
+    return Table(f"All {len(rows)} effects, ranked", header, rows, caption)
+
+
+def status_words(standing: Standing) -> str:
+    """Status with the size above which an absent effect would have been seen nine times in ten."""
+    limit = standing.excluded_above
+    if limit is None:
+        return standing.status
+    size = f"{limit.value:.2g} {limit.unit}" if limit.unit != "1" else f"{limit.value:.2g}"
+    if standing.status == "excluded":
+        return f"excluded above {size}"
+    return f"{standing.status} below {size}"
+
+
+def sentences_of_next(diagnosis: Diagnosis) -> Sequence[str]:
+    """What to record next and why, then the alternatives."""
+    following = diagnosis.next_experiment
+    return (
+        f"{following.description} Purpose: {following.purpose}.",
+        *(f"Or: {a.description}{_decides(a)}" for a in following.alternatives),
+    )
+
+
+def _decides(alternative: Alternative) -> str:
+    if not alternative.splits:
+        return ""
+    named = ", ".join(alternative.splits[:_NAMED])
+    return f" It decides {named}{' and more' if len(alternative.splits) > _NAMED else ''}."
+
+
+def _others(effect: FoundEffect) -> str:
+    return ", ".join(name for name in effect.group if name != effect.name)
+
+
+def _percent(probability: float) -> str:
+    return f"{100.0 * probability:.1f} %"
+
+
+def _plain(quantity: Quantity) -> str:
+    return number(quantity.value, max(quantity.sd, 1e-3 * abs(quantity.value)))

@@ -1,0 +1,143 @@
+"""From a wanted signal-to-noise ratio to the size of an effect, on a clean campaign of the same unit.
+
+The ratio is ``|(I - Q Q^T) S phi|``: what is left of the effect's whitened columns S at its size phi when the nuisances Q are projected
+out, so that ratio^2 is the chi-square that the effect takes away on average. It is linear in the size; the carrier is not, and decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS
+from ..gap.columns import form_columns
+from ..gap.forms import FORMS
+from ..gap.model import CampaignModel
+from .labels import reported_name
+
+__all__ = ["Sized", "imitators", "size_effect"]
+
+FloatArray = NDArray[np.float64]
+#: sizes beyond so many times the typical one are no longer the effect that the catalogue means
+_MOST_TYPICAL = 30.0
+#: parameters that a form has as a setting are drawn about their typical value, by this factor at most
+_SETTING_SPREAD = 2.5
+_LEVELS = 24
+
+
+@dataclass(frozen=True)
+class Sized:
+    """An effect at a size.
+
+    Parameters
+    ----------
+    name : str
+        In the registry.
+    sizes : mapping
+        Parameter -> value.
+    signal : ndarray
+        Whitened, nuisances projected out.
+    """
+
+    name: str
+    sizes: Mapping[str, float]
+    signal: FloatArray
+
+    @property
+    def snr(self) -> float:
+        """Effective signal-to-noise ratio."""
+        return float(np.linalg.norm(self.signal))
+
+
+def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Generator) -> Sized | None:
+    """The effect at a ratio, its direction and what is not linear drawn; None when no fair size reaches it.
+
+    Parameters
+    ----------
+    model : CampaignModel
+        Of a clean campaign of the unit.
+    name : str
+        Of the registry.
+    snr : float
+    rng : numpy.random.Generator
+    """
+    if "level" in {p.name for p in EFFECTS[name].parameters}:
+        return _levelled(model, name, snr)
+    effect = EFFECTS[name]
+    linear = _linear_parameters(name)
+    setting = {p.name: _about(p.typical, rng) for p in effect.parameters if p.name not in linear}
+    for key in setting:
+        if effect.parameter(key).signed and rng.random() < 0.5:
+            setting[key] = -setting[key]
+    if reported_name(name) != name:
+        setting["axes"] = 1.0
+    elif FORMS[name].per_axis:
+        setting["axes"] = 0.0
+    columns, _ = model.screener.projected(form_columns(model.evidence, FORMS[reported_name(name)], model.linear, setting))
+    draw = {p: effect.parameter(p).typical * _share(effect.parameter(p).signed, rng) for p in linear}
+    signal = columns @ np.array([draw[p] for p in linear])
+    strength = float(np.linalg.norm(signal))
+    if not strength > 0.0 or (factor := snr / strength) > _MOST_TYPICAL:
+        return None
+    sizes = {p: factor * value for p, value in draw.items()} | {k: v for k, v in setting.items() if k != "axes"}
+    if any(not effect.parameter(p).lower <= v <= effect.parameter(p).upper for p, v in sizes.items()):
+        return None
+    return Sized(name, sizes, factor * signal)
+
+
+def _levelled(model: CampaignModel, name: str, snr: float) -> Sized | None:
+    """A clipping or dead level, found on a grid: the further it bites, the larger."""
+    form = FORMS[name]
+    grid = [s["level"] for s in form.settings([r.signals for r in model.evidence])]
+    levels = np.geomspace(min(grid), max(grid), _LEVELS)
+    strengths = [float(np.linalg.norm(_level_signal(model, name, level))) for level in levels]
+    order = np.argsort(strengths)
+    if not strengths[order[0]] < snr < strengths[order[-1]]:
+        return None
+    floor = 1e-9 * snr
+    level = float(np.exp(np.interp(np.log(snr), np.log(np.maximum(strengths, floor))[order], np.log(levels)[order])))
+    return Sized(name, {"level": level}, _level_signal(model, name, level))
+
+
+def _level_signal(model: CampaignModel, name: str, level: float) -> FloatArray:
+    columns, _ = model.screener.projected(form_columns(model.evidence, FORMS[name], model.linear, {"level": level}))
+    return np.asarray(columns[:, 0])
+
+
+def imitators(model: CampaignModel, sized: Sized, names: Sequence[str] = ()) -> dict[str, float]:
+    """Ratio that is left of an effect once another of the registry is fitted in its place, smallest first; of a group, of its settings."""
+    left = {}
+    for name, candidates in model.candidates.items():
+        if name == reported_name(sized.name) or (names and name not in names):
+            continue
+        left[name] = min(_behind(model, sized.signal, c.columns) for c in candidates)
+    return dict(sorted(left.items(), key=lambda item: item[1]))
+
+
+def _behind(model: CampaignModel, signal: FloatArray, columns: Sequence[object]) -> float:
+    clean, norms = model.screener.projected(columns)  # type: ignore[arg-type]
+    used = norms > 0.0
+    if not used.any():
+        return float(np.linalg.norm(signal))
+    u, s, _ = np.linalg.svd(clean[:, used] / norms[used], full_matrices=False)
+    basis = u[:, s > 1e-4]
+    return float(np.linalg.norm(signal - basis @ (basis.T @ signal)))
+
+
+def _linear_parameters(name: str) -> tuple[str, ...]:
+    """Parameters that the form is linear in."""
+    nonlinear = {"relaxation": {"tau"}, "drive_memory": {"tau"}, "pickoff_memory": {"tau"}, "charge_accumulation": {"tau"}}
+    nonlinear["spurious_mode"] = {"separation_hz", "half_width_hz"}
+    return tuple(p.name for p in EFFECTS[name].parameters if p.name not in nonlinear.get(name, set()))
+
+
+def _about(typical: float, rng: np.random.Generator) -> float:
+    return float(typical * np.exp(rng.uniform(-1.0, 1.0) * np.log(_SETTING_SPREAD)))
+
+
+def _share(signed: bool, rng: np.random.Generator) -> float:
+    size = float(rng.uniform(0.3, 1.0))
+    return size if not signed or rng.random() < 0.5 else -size
