@@ -45,11 +45,11 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for command in ("demo", "up", "call", "simulate", "calibrate", "allan", "study"):
+    for command in ("demo", "up", "call", "simulate", "calibrate", "diagnose", "allan", "study"):
         assert re.search(rf"\n    {command}\s", done.stdout)
 
 
-@pytest.mark.parametrize("command", ["demo", "up", "call", "simulate", "calibrate", "allan", "study"])
+@pytest.mark.parametrize("command", ["demo", "up", "call", "simulate", "calibrate", "diagnose", "allan", "study"])
 def test_every_command_has_help(command, capsys):
     assert run(command, "--help") == 0
     out = capsys.readouterr().out

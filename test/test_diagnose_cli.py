@@ -85,8 +85,9 @@ def test_the_effect_is_named_with_its_size(outputs):
     (effect,) = outputs[0]["effects"]
     assert "duffing" in effect["group"]
     assert effect["registry_name"] == "duffing_axes"
-    for name, size in (("k_x", 0.03), ("k_y", -0.02)):
-        assert effect["parameters"][name]["value"] == pytest.approx(size, abs=4.0 * effect["parameters"][name]["sd"] + 1e-3 * abs(size))
+    # how far the claimed sd may be believed is for the blind trials to say
+    assert effect["parameters"]["k_x"]["value"] == pytest.approx(0.03, rel=0.05)
+    assert effect["parameters"]["k_y"]["value"] == pytest.approx(-0.02, rel=0.05)
 
 
 def test_the_page_stands_alone(outputs):

@@ -98,6 +98,7 @@ def diagnose(
         warnings=tuple(warnings),
         provenance={"registry": len(model.candidates), "left_out": list(left_out)},
         estimate=_estimate(model, rich),
+        map_after=gap_map(model, rich) if chosen else (),
     )
 
 

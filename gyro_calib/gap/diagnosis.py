@@ -226,6 +226,8 @@ class Diagnosis:
     recordings, elapsed_s : int, float
     estimate : PatchedEstimate or None
         The linear device beside the effects: what a patched device file is made of.
+    map_after : tuple of Cell
+        The map once the effects are in; empty without effects.
     """
 
     device_id: str
@@ -248,6 +250,7 @@ class Diagnosis:
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     estimate: PatchedEstimate | None = None
+    map_after: tuple[Cell, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Keys of the contract (issue: diagnose the gap), and more; plain types."""

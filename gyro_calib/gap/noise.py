@@ -35,7 +35,7 @@ _UNLIKE, _FEWEST_FREE = 3.0, 3.0
 #: a row of which less than this is left says nothing of the noise
 _LEAST_FREEDOM = 0.3
 #: differences between repeated records that say how much their means differ by
-_FEWEST_REPEATS = 5
+_FEWEST_REPEATS = 4
 
 
 def first_noise(evidence: CampaignEvidence) -> dict[Key, NoiseLaw]:
@@ -148,8 +148,12 @@ def _with_repeats(evidence: CampaignEvidence, solution: Solution, noise: NoiseBy
                 freedom[key] += len(members) - 1
     raised = dict(noise)
     for key, count in freedom.items():
-        if count >= _FEWEST_REPEATS and squares[key] > expected[key]:
-            raised[key] = replace(noise[key], mean=(squares[key] - expected[key]) / count)
+        # both axes repeat alike: where one has too few repeats the other's count too
+        alike = [k for k in freedom if k == key or (count < _FEWEST_REPEATS and k[1] == key[1] and {k[0], key[0]} <= {"ftr_x", "ftr_y"})]
+        total = sum(freedom[k] for k in alike)
+        excess = sum(squares[k] - expected[k] for k in alike)
+        if total >= _FEWEST_REPEATS and excess > 0.0:
+            raised[key] = replace(noise[key], mean=excess / total)
     return raised
 
 

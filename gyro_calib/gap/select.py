@@ -32,6 +32,8 @@ _PAIRED = 8
 _LEFT_SHARE, _LEFT_SIGMA = 0.12, 6.0
 #: how much better an anonymous term must be than the registry
 _BETTER = 12.0
+#: log evidence that a hundred anonymous terms may reach by chance beyond what fifty named ones do
+_BANK_MARGIN = 6.0
 #: a share that multiplies an effect whose size is its setting must be near one
 _SHARES = (0.4, 2.5)
 
@@ -244,11 +246,8 @@ def _stranger(
     share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
     if rest:
         best, term = max(rest, key=lambda pair: pair[0].log_evidence)
-        if (
-            _enough(best, 2.0 * before)
-            and best.log_evidence > MARGIN + 2.0
-            and (not chosen or best.gain > _LEFT_SHARE * max(before, best.gain))
-        ):
+        explained = sum(e.gain for e in effects)
+        if best.log_evidence > MARGIN + _BANK_MARGIN and best.gain > max(LEAST_GAIN + 2.0 * _BANK_MARGIN, _LEFT_SHARE * explained):
             return Stranger(term, best, nearest)
         if chosen:
             alone = max(((s, a) for a, c in bank if (s := model.screener.screen(c)) is not None), key=lambda pair: pair[0].log_evidence)
