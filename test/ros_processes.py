@@ -112,10 +112,8 @@ def start_node(
     environment : mapping
         Set over that of this process.
     """
-    if module.endswith(".py"):
-        program = [str(ROOT / "test" / module)]
-    else:
-        program = ["-m", module if "." in module else f"gyro_calib.nodes.{module}"]
+    node = ["-m", module if "." in module else f"gyro_calib.nodes.{module}"]
+    program = [str(ROOT / "test" / module)] if module.endswith(".py") else node
     count = len(list(folder.glob(f"{module}_*.log")))
     log = folder / f"{module}_{count}.log"
     command = [sys.executable, *program, *arguments, "--ros-args", "-r", f"__ns:={namespace}"]

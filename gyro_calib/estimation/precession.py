@@ -110,7 +110,11 @@ def azimuth_fit(recording: Recording) -> AzimuthFit:
     covariance = _correlated(design, turn - design @ solution)
     drive, *_ = np.linalg.lstsq(basis, wave.drive_along.imag[rows], rcond=None)
     return AzimuthFit(
-        solution[:3], covariance[:3, :3], periods, recording.command.setpoints.virtual_precession_v, np.asarray(drive[:3], dtype=float)
+        np.asarray(solution[:3], dtype=np.float64),
+        covariance[:3, :3],
+        periods,
+        recording.command.setpoints.virtual_precession_v,
+        np.asarray(drive[:3], dtype=float),
     )
 
 

@@ -174,9 +174,7 @@ class _Blocks:
         body = [excitation.volts * (excitation.kind == "body" and excitation.frequency_hz == f) for f in bodies]
         if bodies:
             columns.append(np.tile(np.array(body, dtype=complex), (count - 1, 1)))
-        return cls(
-            triangles(r.t[:, None].astype(complex))[:, 0].real, np.hstack(columns), columns[0], columns[1], float(np.mean(detuning))
-        )
+        return cls(triangles(r.t[:, None].astype(complex))[:, 0].real, np.hstack(columns), columns[0], columns[1], float(np.mean(detuning)))
 
 
 def _covariance(blocks: list[_Blocks], noise: WaveNoise, flow: tuple[ComplexArray, ComplexArray], block_s: float) -> FloatArray:

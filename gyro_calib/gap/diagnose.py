@@ -238,8 +238,7 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
     for e in effects:
         others = [name for name in e.group if name != e.name]
         size = ", ".join(f"{k} = {q:.3g}" for k, q in e.parameters.items())
-        words.append(
-            f"{e.name} ({size}), or {'one of ' + ', '.join(others) + ', which these data cannot tell from it' if others else 'anything these data cannot tell from it'}"
-        )
+        alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
+        words.append(f"{e.name} ({size}), or {alike}")
     closed = f"{100.0 * min(shrunk.closed, 1.0):.1f} %"
     return f"Present: {'; and '.join(words)}. It closes {closed} of the gap on experiments that it was not found on."

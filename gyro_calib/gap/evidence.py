@@ -1,7 +1,7 @@
-"""A campaign as linear equations: every recording projected on test functions, in the frame of its wave, in units that noise can be given to.
+"""A campaign as linear equations: every recording projected on test functions, in the frame of its wave.
 
-The slow flow stays exact and linear in (A, G~, E) (:mod:`..estimation.projection`), whatever controlled the device: loops, latencies and set
-points drop out, because what acted stands in the drive columns. So the same equations serve force-rebalance and whole-angle recordings of
+The slow flow stays exact and linear in (A, G~, E) (:mod:`..estimation.projection`), whatever controlled the device: loops, latencies and
+set points drop out, because what acted stands in the drive columns. So the same equations serve force-rebalance and whole-angle records of
 any maker's device, and what they leave over is the gap.
 """
 

@@ -24,6 +24,7 @@ ComplexArray = NDArray[np.complex128]
 #: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
 Kind = Literal["flow", "drive", "output"]
 _LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008])
+_COARSE = np.geomspace(0.4, 4.0, 10)
 _DEAD = np.geomspace(1e-4, 0.4, 14)
 #: values of the parameters that are not linear
 Setting = Mapping[str, float]
@@ -168,11 +169,12 @@ def _dead(x: ComplexArray, level: float) -> ComplexArray:
 
 
 def _levels(of: Literal["pick", "drive"], shares: FloatArray) -> Callable[[list[Signals]], list[Setting]]:
-    """Levels that are shares of the largest amplitude of any axis."""
+    """Levels that are shares of the largest amplitude of any axis: of all recordings, and of those in which drives were not wound up."""
 
     def settings(signals: list[Signals]) -> list[Setting]:
-        peak = max(float(np.quantile(np.abs(getattr(s, of)), 0.99)) for s in signals)
-        return [{"level": float(level)} for level in peak * shares]
+        peaks = np.array([float(np.quantile(np.abs(getattr(s, of)), 0.99)) for s in signals])
+        levels = np.concatenate([peaks.max() * shares, float(np.median(peaks)) * _COARSE])
+        return [{"level": float(level)} for level in np.unique(levels)]
 
     return settings
 
@@ -206,7 +208,7 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
     p = _motion(s, d)
-    return [Part("k_0", "flow", 1j * rise * p), *_anisotropy("k", p, 1j * rise)]
+    return [Part("k_0", "flow", 1j * rise * p), *_anisotropy("k", rise * p, 1j)]
 
 
 def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], list[Part]]:
@@ -223,7 +225,7 @@ def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: com
 
 
 def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
-    """A cubic force, isotropic or along each axis: one effect in two variants, of which the second has a name of its own in the registry."""
+    """A cubic force, isotropic or along each axis: one effect in two variants, the second with a name of its own."""
 
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         p = _motion(s, d)

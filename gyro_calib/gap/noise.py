@@ -171,7 +171,7 @@ def _mean_line(left: ComplexArray, part: int, side: int) -> float:
 
 
 def _raised_to_what_is_left(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole) -> tuple[NoiseByRole, Excess]:
-    """Noise raised where even the saturated model leaves more at the signal's lines than it says: of one recording, or of its whole kind."""
+    """Noise raised where even the saturated model leaves more at the signal's lines than it says: of one recording, or of its kind."""
     squares: dict[Key, float] = defaultdict(float)
     spare: dict[Key, float] = defaultdict(float)
     freedom = np.clip(1.0 - np.sum(solution.basis**2, axis=1), 0.0, 1.0)

@@ -95,7 +95,7 @@ def fit_law(basis: FloatArray, squares: FloatArray) -> NoiseLaw:
 
 
 def _without_outliers(order: FloatArray, squares: FloatArray) -> FloatArray:
-    """Squares no larger than what noise of the neighbours' median gives once in some thousand: a recording unlike its kind is not its noise."""
+    """Squares no larger than what noise of the neighbours' median gives once in some thousand: a stranger is not their noise."""
     place = np.argsort(order, kind="stable")
     sorted_squares = squares[place]
     width = min(_NEIGHBOURS, squares.size)

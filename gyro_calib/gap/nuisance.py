@@ -1,7 +1,7 @@
 """What any healthy device has and no one calls a gap: the linear slow flow, its resonance's wander, its known dependence on temperature.
 
-Nuisances that physics bounds (temperature coefficients, the lag of a record, a feedthrough that follows frequency) have priors of that size:
-an effect of the same form shows only where it is larger than a healthy device has it.
+Nuisances that physics bounds (temperature coefficients, the lag of a record, a feedthrough that follows frequency) have priors of that
+size: an effect of the same form shows only where it is larger than a healthy device has it.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 ComplexArray = NDArray[np.complex128]
+_Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
 
 #: temperature coefficients of healthy devices, sd [1/K]: gains, their differences and phases; damping relative; all small against 1
 _GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 5e-3
@@ -67,6 +68,25 @@ def _collected(
     return columns
 
 
+def _entry(field: str, a: int, b: int | None, weight: Callable[[RecordingEvidence], float] = lambda r: 1.0) -> _Regressor:
+    """Regressor of one entry of the projected signals, weighed by recording."""
+
+    def values(r: RecordingEvidence, p: WaveProjected) -> ComplexArray:
+        array = getattr(p, field)
+        return np.asarray(weight(r) * (array[:, a] if b is None else array[:, a, b]))
+
+    return values
+
+
+def _shaken_at(frequency_hz: float) -> Callable[[RecordingEvidence], float]:
+    return lambda r: float(_body(r) == frequency_hz)
+
+
+def _combined(first: tuple[int, int], second: tuple[int, int], sign: float) -> _Regressor:
+    """Sum or difference of two entries of the response to rate."""
+    return lambda r, p: p.rate_pick[:, first[0], first[1]] + sign * p.rate_pick[:, second[0], second[1]]
+
+
 def linear_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list[Column]:
     """A, G~, E, body, response to rate, force that does not follow the wave.
 
@@ -80,34 +100,34 @@ def linear_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> li
     for a in range(2):
         for b in range(2):
             place = f"{'xy'[a]}{'xy'[b]}"
-            columns += _collected(f"A_{place}", evidence, lambda r, p, a=a, b=b: p.pick[:, a, b])
-            columns += _collected(f"G_{place}", evidence, lambda r, p, a=a, b=b: p.drive[:, a, b])
+            columns += _collected(f"A_{place}", evidence, _entry("pick", a, b))
+            columns += _collected(f"G_{place}", evidence, _entry("drive", a, b))
             # without open drive a feedthrough of usual size is allowed for, not taken to be absent
             known = np.inf if open_drive else _FEEDTHROUGH
-            columns += _collected(f"E_{place}", evidence, lambda r, p, a=a, b=b: p.drive_rate[:, a, b], known)
+            columns += _collected(f"E_{place}", evidence, _entry("drive_rate", a, b), known)
             if len(open_drive) > 1:
                 columns += _collected(
                     f"dispersion_{place}",
                     evidence,
-                    lambda r, p, a=a, b=b: _away(r, evidence.omega0_rad_s) * p.drive_rate[:, a, b],
+                    _entry("drive_rate", a, b, lambda r: _away(r, evidence.omega0_rad_s)),
                     _DISPERSION,
                 )
             if turned:
-                columns += _collected(f"table_{place}", evidence, lambda r, p, a=a, b=b: p.jerk[:, a, b], _TABLE_CLOCK_S)
+                columns += _collected(f"table_{place}", evidence, _entry("jerk", a, b), _TABLE_CLOCK_S)
         for f in bodies:
-            columns += _collected(f"body_{'xy'[a]}_{f:.0f}", evidence, lambda r, p, a=a, f=f: (_body(r) == f) * p.body[:, a])
+            columns += _collected(f"body_{'xy'[a]}_{f:.0f}", evidence, _entry("body", a, None, _shaken_at(f)))
         if any(r.signal.turn_rad > _TURNED_RAD for r in evidence):
-            columns += _collected(f"force_{'xy'[a]}", evidence, lambda r, p, a=a: float(r.is_wave) * p.constant[:, a])
+            columns += _collected(f"force_{'xy'[a]}", evidence, _entry("constant", a, None, lambda r: float(r.is_wave)))
     return columns + (_rate_columns(evidence, rate_known) if turned else [])
 
 
 def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
     """Response of A to rate: its antisymmetric part is kappa, the rest is the pick-offs' mismatch and non-orthogonality."""
-    columns = _collected("rate_anti", evidence, lambda r, p: p.rate_pick[:, 0, 1] - p.rate_pick[:, 1, 0], _KAPPA if known else np.inf)
+    columns = _collected("rate_anti", evidence, _combined((0, 1), (1, 0), -1.0), _KAPPA if known else np.inf)
     for name, f in (
-        ("rate_mismatch", lambda r, p: p.rate_pick[:, 0, 1] + p.rate_pick[:, 1, 0]),
-        ("rate_sum", lambda r, p: p.rate_pick[:, 0, 0] + p.rate_pick[:, 1, 1]),
-        ("rate_skew", lambda r, p: p.rate_pick[:, 0, 0] - p.rate_pick[:, 1, 1]),
+        ("rate_mismatch", _combined((0, 1), (1, 0), 1.0)),
+        ("rate_sum", _combined((0, 0), (1, 1), 1.0)),
+        ("rate_skew", _combined((0, 0), (1, 1), -1.0)),
     ):
         columns += _collected(name, evidence, f, _SKEWED_RATE)
     return columns + _blurred_steps(evidence)

@@ -13,8 +13,8 @@ from .forms import Linear
 
 __all__ = ["check_campaign", "check_linear", "usable"]
 
-#: relative tolerance of a modulation's index, of an open drive's volts
-_INDEX_TOLERANCE, _VOLTS_TOLERANCE = 0.3, 0.1
+#: a modulation's index over the stated one (a drive that clips does not reach it); relative tolerance of an open drive's volts
+_INDEX_RANGE, _VOLTS_TOLERANCE = (0.05, 3.0), 0.1
 #: a reference further from the frequency of an open drive than this [Hz] is not the drive's
 _REFERENCE_HZ = 0.5
 #: a recording shorter than this share of its like is cut short
@@ -62,10 +62,11 @@ def _check_modulation(r: Recording) -> None:
     design = np.column_stack([np.ones(len(r)), np.cos(phase), np.sin(phase)])
     mean, c, s = np.linalg.lstsq(design, np.abs(r.pick[:, "xy".index(axis)]), rcond=None)[0]
     index = float(np.hypot(c, s) / mean)
-    if abs(index - excitation.index) > _INDEX_TOLERANCE * excitation.index:
+    if not _INDEX_RANGE[0] <= index / abs(excitation.index or 1.0) <= _INDEX_RANGE[1]:
         raise DataError(
-            f"Recording {r.label!r} says that its oscillator is modulated by {100 * excitation.index:.3g} % at {excitation.frequency_hz:g} Hz, "
-            f"but the {axis} pick-off shows {100 * index:.3g} % there. Correct the attribute excitation, or the axis."
+            f"Recording {r.label!r} says that its oscillator is modulated by {100 * excitation.index:.3g} % at "
+            f"{excitation.frequency_hz:g} Hz, but the {axis} pick-off shows {100 * index:.3g} % there. "
+            "Correct the attribute excitation, or the axis."
         )
 
 
@@ -138,8 +139,8 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
         response = values.get("rate_anti_re", linear.angular_gain)
         if response < 0.0:
             raise DataError(
-                f"The wave must lag behind the table by kappa = {linear.angular_gain:.4g}, but got {response:+.4g}: the sign of applied_rate "
-                "(or of one axis) is wrong. Turn its sign."
+                f"The wave must lag behind the table by kappa = {linear.angular_gain:.4g}, but got {response:+.4g}: the sign of "
+                "applied_rate (or of one axis) is wrong. Turn its sign."
             )
         for factor, unit in _RATE_UNITS:
             if abs(response / linear.angular_gain * factor - 1.0) < _RATE_TOLERANCE:

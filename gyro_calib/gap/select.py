@@ -12,8 +12,12 @@ from itertools import combinations
 
 import numpy as np
 
+from ..effects import EFFECTS
 from .anonymous import Anonymous, anonymous_candidates
+from .candidates import registry_name
+from .exact_levels import best_exact_level
 from .model import CampaignModel
+from .relinearise import relinearised
 from .screen import Candidate, Screened
 
 __all__ = ["Selection", "Stranger", "select_effects"]
@@ -29,13 +33,15 @@ _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
 _PAIRED = 8
 #: a share of the gap that is left after the best set, from which on something is missing from the catalogue; and its significance
-_LEFT_SHARE, _LEFT_SIGMA = 0.12, 6.0
+_LEFT_SHARE, _LEFT_SIGMA = 0.02, 6.0
 #: how much better an anonymous term must be than the registry
 _BETTER = 12.0
 #: log evidence that a hundred anonymous terms may reach by chance beyond what fifty named ones do
 _BANK_MARGIN = 6.0
 #: a share that multiplies an effect whose size is its setting must be near one
-_SHARES = (0.4, 2.5)
+_SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
+#: a level that is tried as what it is must leave this much less than what was selected
+_EXACT_IS_BETTER = 0.5
 
 
 @dataclass(frozen=True)
@@ -85,10 +91,14 @@ class Selection:
     bank: tuple[tuple[Anonymous, Candidate], ...] = field(default=(), repr=False)
 
 
-def physical(found: Screened) -> bool:
-    """Whether an effect's size is one that it can have: the share of a level is one."""
-    sizes = found.sizes()
-    return "level" not in found.candidate.setting or _SHARES[0] <= sizes["share"][0] <= _SHARES[1]
+def physical(found: Screened, *, rough: bool = True) -> bool:
+    """Whether an effect's size is one that it can have: the share of a level is one, ``rough``: as far as a fit that lacks it can say."""
+    low, high = _ROUGH_SHARES if rough else _SHARES
+    known = {p.name: p for p in EFFECTS[registry_name(found.name, found.candidate.setting)].parameters}
+    for name, (value, sd) in found.sizes().items():
+        if name in known and not known[name].lower - 3.0 * sd <= value <= known[name].upper + 3.0 * sd:
+            return False
+    return "level" not in found.candidate.setting or low <= found.sizes()["share"][0] <= high
 
 
 def _ranked(model: CampaignModel, chosen: Sequence[Candidate], only: Sequence[str] | None = None) -> list[Screened]:
@@ -122,7 +132,9 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
     chosen = _improved(model, chosen, largest)
     chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
-    effects = _together(model, chosen)
+    chosen, effects = _settled(model, chosen)
+    _, effects = _or_exact_level(model, chosen, effects)
+    chosen = [e.candidate for e in effects]
     groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
     screener = model.screener_with(chosen)
     bank = anonymous_candidates(model.evidence, model.linear)
@@ -151,6 +163,34 @@ def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
         if together > best[0] and a.gain + second.gain > 2.0 * LEAST_GAIN:
             best = (together, [a.candidate, b.candidate])
     return best[1]
+
+
+def _settled(model: CampaignModel, chosen: list[Candidate]) -> tuple[list[Candidate], tuple[Screened, ...]]:
+    """The effects about the device that holds them; one whose size is not one that it can have is none."""
+    chosen = relinearised(model, chosen)
+    effects = _together(model, chosen)
+    kept = [e.candidate for e in effects if physical(e, rough=False)]
+    if len(kept) < len(effects):
+        chosen = relinearised(model, kept)
+        effects = _together(model, chosen)
+    return chosen, effects
+
+
+def _or_exact_level(
+    model: CampaignModel, chosen: list[Candidate], effects: tuple[Screened, ...]
+) -> tuple[list[Candidate], tuple[Screened, ...]]:
+    """A drive that clips or is dead so much that first order does not recognise it, where much is left without."""
+    left = model.screener_with(chosen)
+    before = model.screener.chi2 - model.screener.dof
+    if before <= 0.0 or left.chi2 - left.dof < max(_LEFT_SHARE * before, _LEFT_SIGMA * np.sqrt(2.0 * left.dof)):
+        return chosen, effects
+    exact = best_exact_level(model)
+    if exact is None or exact.chi2 > _EXACT_IS_BETTER * left.chi2:
+        return chosen, effects
+    alone = relinearised(model, [model.candidate(exact.name, {"level": exact.level})], exact.linear)
+    found = _together(model, alone)
+    good = bool(found) and physical(found[0], rough=False) and model.screener_with(alone).chi2 < _EXACT_IS_BETTER * left.chi2
+    return (alone, found) if good else (chosen, effects)
 
 
 def _refined(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> Candidate:
@@ -218,11 +258,12 @@ def _together(model: CampaignModel, chosen: Sequence[Candidate]) -> tuple[Screen
 
 def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[str, ...]:
     """The effect in place k and those that would do as well in its place."""
-    ranked = _ranked(model, [c for j, c in enumerate(chosen) if j != k])
-    mine = next(s for s in ranked if s.name == chosen[k].name)
-    refined = model.screener_with([c for j, c in enumerate(chosen) if j != k]).screen(chosen[k])
-    mine = refined if refined is not None and refined.log_evidence > mine.log_evidence else mine
-    return (mine.name, *(s.name for s in ranked if s.name != mine.name and s.log_evidence > mine.log_evidence - _ALIKE))
+    others = [c for j, c in enumerate(chosen) if j != k]
+    name = chosen[k].name
+    mine = model.screener_with(others).screen(chosen[k])
+    if mine is None:
+        return (name,)
+    return (name, *(s.name for s in _ranked(model, others) if s.name != name and s.log_evidence > mine.log_evidence - _ALIKE))
 
 
 def _probability(effect: Screened) -> float:

@@ -7,7 +7,7 @@ correction: it is enough to form it from the thinned signals, so that fifty of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..estimation.wave_projection import frame_directions, spectral_derivatives,
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
 
-__all__ = ["WARMING_K", "Signals", "smooth_temperature"]
+__all__ = ["WARMING_K", "Signals", "smooth_temperature", "with_pick"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -112,6 +112,13 @@ class Signals:
         f = test_functions(np.asarray(thin(self.recording.t, self.width)), self.row_s, list(lines_hz))
         first, second = spectral_derivatives(f.value, self.row_s)
         return Projector(self, f.frequency_hz, f.value, first, second)
+
+
+def with_pick(signals: Signals, pick: ComplexArray) -> Signals:
+    """The same signals with other pick-off volts."""
+    other = replace(signals)
+    other.__dict__.update({**signals.__dict__, "pick": pick})
+    return other
 
 
 @dataclass(frozen=True)
