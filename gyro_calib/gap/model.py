@@ -15,7 +15,7 @@ from .columns import Column
 from .evidence import CampaignEvidence
 from .forms import Linear, Setting
 from .noise import first_noise, measured_noise
-from .nuisance import frequency_columns, linear_columns, linear_of, target_of, thermal_columns, wander_columns, with_wander
+from .nuisance import frequency_columns, linear_columns, linear_of, slow_columns, target_of, thermal_columns, wander_columns, with_wander
 from .preflight import check_linear
 from .screen import Candidate, Screener
 from .system import NoiseByRole, Solution, Whitener, solve
@@ -124,7 +124,8 @@ def look_at(
     noise, excess = measured_noise(evidence, _saturated(nuisances, candidates), of_rate, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
-    nuisances = with_wander(nuisances, _wander(evidence, _saturated(nuisances, candidates), whitener, target, wander))
+    moved = _wander(evidence, _saturated(nuisances, candidates), whitener, target, wander)
+    nuisances = [*with_wander(nuisances, moved), *slow_columns(evidence, linear, moved["shift"])]
     base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))
     report(1.0, "noise")
     return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, Screener(whitener, nuisances, target), base)

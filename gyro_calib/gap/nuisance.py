@@ -22,6 +22,7 @@ __all__ = [
     "linear_columns",
     "linear_of",
     "quiet_target_of",
+    "slow_columns",
     "target_of",
     "thermal_columns",
     "wander_columns",
@@ -41,6 +42,8 @@ _LAG_S, _TABLE_CLOCK_S = 3e-5, 1e-3
 _DISPERSION, _SKEWED_RATE = 5e-3, 0.05
 #: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
 _KAPPA = 3e-4
+#: drift of the resonance over a campaign in units of its wander; constant volts that reach a drive besides the command [V]
+_SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
 #: how late a temperature sensor is [s]
 _SENSOR_LAG_S = 0.03
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
@@ -215,6 +218,15 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
 def with_wander(columns: Sequence[Column], wander_rad_s: Mapping[str, float]) -> list[Column]:
     """The same columns with another wander, by ``shift`` and ``slide``."""
     return [replace(c, prior_sd=wander_rad_s[kind]) if (kind := c.name.split("_")[0]) in wander_rad_s else c for c in columns]
+
+
+def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float) -> list[Column]:
+    """What wanders slower than a campaign, and what reaches the drives besides the command: a floor of every device."""
+    times = [float(r.signals.time_s.mean()) for r in evidence]
+    span = max(max(times) - min(times), 1.0)
+    ageing = _form(evidence, linear, "frequency_ageing", {"k": _SLOW * wander_rad_s / span})
+    stray = _form(evidence, linear, "constant_force", dict.fromkeys(("f_xc", "f_xs", "f_yc", "f_ys"), _STRAY_DRIVE_V))
+    return ageing + stray
 
 
 def wander_columns(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:

@@ -13,8 +13,9 @@ from .forms import Linear
 
 __all__ = ["check_campaign", "check_linear", "usable"]
 
-#: a modulation's index over the stated one (a drive that clips does not reach it); relative tolerance of an open drive's volts
-_INDEX_RANGE, _VOLTS_TOLERANCE = (0.05, 3.0), 0.1
+#: a modulation's index over the stated one (a drive that clips does not reach it); an open drive's volts over the stated ones (a
+#: multiplexed drive acts for a share of the time)
+_INDEX_RANGE, _VOLTS_RANGE = (0.05, 3.0), (0.2, 3.0)
 #: a reference further from the frequency of an open drive than this [Hz] is not the drive's
 _REFERENCE_HZ = 0.5
 #: a recording shorter than this share of its like is cut short
@@ -88,7 +89,7 @@ def _check_open_drive(r: Recording) -> None:
                 f"Recording {r.label!r} says that {excitation.axis} is driven, but the other drive carries {volts[other]:.4g} V and "
                 f"{excitation.axis} only {volts[wanted]:.4g} V. Swap the drive columns, or correct the attribute."
             )
-        if abs(volts[wanted] / excitation.volts - 1.0) > _VOLTS_TOLERANCE:
+        if not _VOLTS_RANGE[0] <= volts[wanted] / max(abs(excitation.volts), 1e-300) <= _VOLTS_RANGE[1]:
             raise DataError(
                 f"Recording {r.label!r} says that {excitation.axis} is driven with {excitation.volts:.4g} V, but its column shows "
                 f"{volts[wanted]:.4g} V. Correct the attribute or the unit of the drive columns."
