@@ -116,8 +116,9 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
     found = []
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in _MONOMIALS.items():
-            if kind == "output" and depends == "rate":
-                continue  # L of a rate that steps is the table's clock, and the recorder's filter
+            if kind == "output" and depends in ("rate", "phase reference"):
+                # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate
+                continue
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
                 form = _form(kind, monomials, factor)
                 columns = tuple(form_columns(evidence, form, linear, {}))

@@ -27,6 +27,8 @@ ComplexArray = NDArray[np.complex128]
 _WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 #: of the settings of a gridded effect, how many the saturated model holds
 _SATURATED_SETTINGS = 4
+#: columns of the saturated model over equations, at most
+_SATURATION = 0.22
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,10 @@ def look_at(
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     report(0.75, "noise")
     of_rate = [*nuisances, *(c for name in candidates if "rate" in EFFECTS[name].needs for c in candidates[name][0].columns)]
-    noise, excess = measured_noise(evidence, _saturated(nuisances, candidates), of_rate, angular_gain)
+    noise, excess = measured_noise(evidence, _saturated(evidence, nuisances, candidates), of_rate, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
-    moved = _wander(evidence, _saturated(nuisances, candidates), whitener, target, wander)
+    moved = _wander(evidence, _saturated(evidence, nuisances, candidates), whitener, target, wander)
     nuisances = [*with_wander(nuisances, moved), *slow_columns(evidence, linear, moved["shift"])]
     base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))
     report(1.0, "noise")
@@ -165,10 +167,20 @@ def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: flo
     return linear_of(evidence, values, angular_gain), values
 
 
-def _saturated(nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
-    columns = list(nuisances)
-    for settings in candidates.values():
-        step = max(1, len(settings) // _SATURATED_SETTINGS)
-        for candidate in settings[::step]:
-            columns += [c for c in candidate.columns if any(np.any(v) for v in c.signal)]
-    return columns
+def _saturated(evidence: CampaignEvidence, nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
+    """Everything at once, as far as there are equations for it.
+
+    Where no open drive told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the pick-off's, and
+    a feedthrough or a lag that is free would explain the noise away.
+    """
+    if not any(r.recording.command.excitation.kind == "drive" for r in evidence):
+        return [c for c in nuisances if not c.name.startswith(("E_", "drive_lag"))]
+    most = _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
+    for settings in (_SATURATED_SETTINGS, 1):
+        columns = list(nuisances)
+        for tried in candidates.values():
+            for candidate in tried[:: max(1, len(tried) // settings)]:
+                columns += [c for c in candidate.columns if any(np.any(v) for v in c.signal)]
+        if len(columns) < most:
+            return columns
+    return list(nuisances)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..effects import EFFECTS
 from .diagnosis import Alternative, NextExperiment, Standing
 from .model import CampaignModel
@@ -19,28 +21,48 @@ _RECIPES = {
     "large drive": "Record virtual precession or a ring-up at twice the drive",
     "open drive": "Record open drive of each axis at +-20 and +-60 Hz from resonance, loops off",
     "side bands": "Record side bands at 0.1, 0.5, 1 and 1.5 Hz on both axes",
-    "time": "Repeat the first static recording at the end, and once more after an hour",
+    "time": "Repeat the first static recordings at the end, and once more after an hour",
     "azimuth": "Record virtual precession of both senses over whole turns",
 }
+_TEMPERATURE_K, _AMPLITUDES, _TURN_RAD = 2.0, 1.3, 2.0 * np.pi
+
+
+def _varied(model: CampaignModel) -> set[str]:
+    """What the recordings vary already."""
+    records = [r.recording for r in model.evidence]
+    waves = [r for r in model.evidence if r.is_wave]
+    amplitudes = [r.mean_square for r in waves]
+    found = {
+        "temperature": np.ptp([float(r.signals.temperature_k.mean()) for r in model.evidence]) > _TEMPERATURE_K
+        or any(r.is_warming for r in model.evidence),
+        "rate": any("applied_rate" in r.extras for r in records),
+        "amplitudes": max(amplitudes) > _AMPLITUDES * min(amplitudes),
+        "open drive": any(r.command.excitation.kind == "drive" for r in records),
+        "side bands": any(r.command.excitation.kind.endswith("modulation") for r in records),
+        "azimuth": any(r.signal.turn_rad > _TURN_RAD for r in model.evidence),
+    }
+    return {name for name, yes in found.items() if yes}
 
 
 def next_experiment(model: CampaignModel, selection: Selection, lines: Sequence[Standing]) -> NextExperiment:
-    """The recipe that serves most of the effects that are alike or untestable."""
+    """The recipe that serves most of the effects that are alike or untestable, of what was not varied yet."""
     doubtful = tuple(dict.fromkeys(name for group in selection.groups if len(group) > 1 for name in group))
-    purpose = "tell apart " + ", ".join(doubtful) if doubtful else "test what these recordings do not vary"
     served = doubtful or tuple(s.name for s in lines if s.status in ("not testable", "cannot tell"))
+    purpose = f"tell apart {', '.join(doubtful)}" if doubtful else "see or exclude what these recordings cannot"
+    varied = _varied(model)
     votes: dict[str, list[str]] = {}
     for name in served:
         for need in EFFECTS[name].needs:
-            if need in _RECIPES:
+            if need in _RECIPES and need not in varied:
                 votes.setdefault(need, []).append(name)
-    if not votes:
-        return NextExperiment("Nothing further is needed: repeat the campaign after some months, or after a change.", "watch for ageing")
-    ranked = sorted(votes.items(), key=lambda item: -len(item[1]))
-    best = ranked[0]
-    return NextExperiment(
-        description=_RECIPES[best[0]] + ".",
-        purpose=purpose,
-        splits=tuple(best[1]),
-        alternatives=tuple(Alternative(_RECIPES[need] + ".", tuple(names), 0.0) for need, names in ranked[1:4]),
-    )
+    if votes:
+        ranked = sorted(votes.items(), key=lambda item: -len(item[1]))
+        others = tuple(Alternative(_RECIPES[need] + ".", tuple(names), 0.0) for need, names in ranked[1:4])
+        return NextExperiment(_RECIPES[ranked[0][0]] + ".", purpose, tuple(ranked[0][1]), others)
+    if served:
+        return NextExperiment(
+            "Repeat the campaign with recordings four times as long, in another order: everything is varied, what is missing is precision.",
+            purpose,
+            served,
+        )
+    return NextExperiment("Nothing further is needed: repeat the campaign after some months, or after a change.", "watch for ageing")
