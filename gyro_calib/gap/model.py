@@ -28,7 +28,7 @@ _WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 #: of the settings of a gridded effect, how many the saturated model holds
 _SATURATED_SETTINGS = 4
 #: columns of the saturated model over equations, at most
-_SATURATION = 0.22
+_SATURATION = 0.35
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,11 @@ def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: flo
 def _saturated(evidence: CampaignEvidence, nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
     """Everything at once, as far as there are equations for it.
 
-    Where no open drive told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the pick-off's, and
+    Where no open drive of both axes told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the pick-off's, and
     a feedthrough or a lag that is free would explain the noise away.
     """
-    if not any(r.recording.command.excitation.kind == "drive" for r in evidence):
+    excitations = [r.recording.command.excitation for r in evidence]
+    if {e.axis for e in excitations if e.kind == "drive"} < {"x", "y"}:
         return [c for c in nuisances if not c.name.startswith(("E_", "drive_lag"))]
     most = _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
     for settings in (_SATURATED_SETTINGS, 1):

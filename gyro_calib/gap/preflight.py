@@ -13,9 +13,9 @@ from .forms import Linear
 
 __all__ = ["check_campaign", "check_linear", "usable"]
 
-#: a modulation's index over the stated one (a drive that clips does not reach it); an open drive's volts over the stated ones (a
-#: multiplexed drive acts for a share of the time)
-_INDEX_RANGE, _VOLTS_RANGE = (0.05, 3.0), (0.2, 3.0)
+#: a modulation's index over the stated one; the least of it at the largest amplitude, where a drive that clips does not reach it; an open
+#: drive's volts over the stated ones (a multiplexed drive acts for a share of the time)
+_INDEX_RANGE, _CLIPPED_INDEX, _VOLTS_RANGE = (0.6, 1.6), 0.05, (0.2, 3.0)
 #: a reference further from the frequency of an open drive than this [Hz] is not the drive's
 _REFERENCE_HZ = 0.5
 #: a recording shorter than this share of its like is cut short
@@ -49,13 +49,14 @@ def check_campaign(campaign: Campaign) -> list[str]:
             f"A diagnosis needs at least {_FEWEST_RECORDINGS} recordings with the loops closed, but got {len(waves)}. "
             "Record the campaign gap-ftr or gap-whole-angle, or part of it."
         )
+    largest = max(r.command.setpoints.amplitude_v for r in waves)
     for r in campaign:
-        _check_modulation(r)
+        _check_modulation(r, largest)
         _check_open_drive(r)
     return _cut_short(campaign)
 
 
-def _check_modulation(r: Recording) -> None:
+def _check_modulation(r: Recording, largest_v: float) -> None:
     excitation, axis = r.command.excitation, r.command.oscillator_axis
     if excitation.kind != "amplitude_modulation" or axis is None or excitation.frequency_hz * r.duration_s < 0.9:
         return
@@ -63,7 +64,8 @@ def _check_modulation(r: Recording) -> None:
     design = np.column_stack([np.ones(len(r)), np.cos(phase), np.sin(phase)])
     mean, c, s = np.linalg.lstsq(design, np.abs(r.pick[:, "xy".index(axis)]), rcond=None)[0]
     index = float(np.hypot(c, s) / mean)
-    if not _INDEX_RANGE[0] <= index / abs(excitation.index or 1.0) <= _INDEX_RANGE[1]:
+    least = _CLIPPED_INDEX if r.command.setpoints.amplitude_v > 0.99 * largest_v else _INDEX_RANGE[0]
+    if not least <= index / abs(excitation.index or 1.0) <= _INDEX_RANGE[1]:
         raise DataError(
             f"Recording {r.label!r} says that its oscillator is modulated by {100 * excitation.index:.3g} % at "
             f"{excitation.frequency_hz:g} Hz, but the {axis} pick-off shows {100 * index:.3g} % there. "
