@@ -23,7 +23,7 @@ from ros_helpers import FakeGyro, PlainSimulator, RosSession, overrides, wait_fo
 from std_msgs.msg import Float64MultiArray
 
 from gyro_calib.calibration import CalibrationRecord, RecordStore
-from gyro_calib.nodes import calibration_runs
+from gyro_calib.nodes import calibration_runs, recording_run
 from gyro_calib.nodes.calibration_messages import record_from_calibration
 from gyro_calib.nodes.calibration_node import CalibrationNode
 from gyro_calib.nodes.gyro_sim_node import make_simulator
@@ -163,12 +163,12 @@ def test_cancel_at_once_after_the_request(rig: Rig, previous: CalibrationRecord)
 
 def instant_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs whose recordings take no time; only what comes after them is looked at."""
-    real = calibration_runs.run_plan
+    real = recording_run.run_plan
 
     def short(instrument, plan, **options):  # type: ignore[no-untyped-def]
         return real(instrument, replace(plan, steps=(replace(plan.steps[0], duration_s=1.0),)), **options)
 
-    monkeypatch.setattr(calibration_runs, "run_plan", short)
+    monkeypatch.setattr(recording_run, "run_plan", short)
 
 
 def test_cancel_while_estimating(rig: Rig, previous: CalibrationRecord, monkeypatch: pytest.MonkeyPatch) -> None:

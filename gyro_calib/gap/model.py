@@ -170,8 +170,8 @@ def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: flo
 def _saturated(evidence: CampaignEvidence, nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
     """Everything at once, as far as there are equations for it.
 
-    Where no open drive of both axes told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the pick-off's, and
-    a feedthrough or a lag that is free would explain the noise away.
+    Where no open drive of both axes told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the
+    pick-off's, and a feedthrough or a lag that is free would explain the noise away.
     """
     excitations = [r.recording.command.excitation for r in evidence]
     if {e.axis for e in excitations if e.kind == "drive"} < {"x", "y"}:

@@ -25,7 +25,7 @@ __all__ = ["Selection", "Stranger", "select_effects"]
 #: least log evidence and chi-square of an effect that is taken up
 MARGIN, LEAST_GAIN = 8.0, 25.0
 #: an effect that is as good as the best within this log evidence is not told apart from it
-_ALIKE = 4.5
+_ALIKE = 6.0
 _MOST_EFFECTS = 3
 _GOLDEN_STEPS = 8
 #: share of an effect's gain that its form, of first order, may leave
