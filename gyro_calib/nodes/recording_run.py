@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from .run_manager import Outcome, RunHandle
 __all__ = ["RecordingRun"]
 
 
-class RecordingRun:
+class RecordingRun(ABC):
     """A run that records a plan; what becomes of the recordings is the deriving class's.
 
     Parameters
@@ -42,9 +43,9 @@ class RecordingRun:
         self._started_s = self._fraction = 0.0
         self._last_round = ""
 
+    @abstractmethod
     def __call__(self, run: RunHandle) -> Outcome:
         """Carry the run out."""
-        raise NotImplementedError
 
     def heartbeat(self, recorded_fraction: float) -> None:
         """Report the progress inside a step; ``recorded_fraction`` is what the instrument has of the present recording, 0 to 1."""
