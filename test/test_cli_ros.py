@@ -236,7 +236,6 @@ def test_consumer_integrates_standard_messages(ros):
         assert found[name]["yaw_deg"] == pytest.approx(rate * found[name]["duration_s"], rel=1e-9)
 
 
-@pytest.mark.slow
 def test_demo_end_to_end(tmp_path, capfd, monkeypatch):
     """Real processes, service call, progress, table, page, JSON; a quick plan."""
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
