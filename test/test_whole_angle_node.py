@@ -95,7 +95,8 @@ def test_virtual_precession_compensates_the_drives_and_its_record_corrects_the_r
     wait_for(lambda: not state.corrected, 20.0, "the corrector's refusal of a record of another compensation")
     rates = ros.listen(rig.node, TwistStamped, "rate_raw")
     before = float(np.mean([m.twist.angular.z for m in rates.wait(300)[100:]]))
-    assert abs(before - RATE_RAD_S) > 0.5 * abs(raw.bias_rad_s)
+    # the bias depends on the azimuth: what a few seconds of a turning wave see is a part of its mean
+    assert abs(before - RATE_RAD_S) > 0.25 * abs(raw.bias_rad_s)
 
 
 def test_a_scale_factor_run_renews_that_alone(ros: RosSession, tmp_path: Path) -> None:
