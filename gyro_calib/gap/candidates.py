@@ -12,7 +12,7 @@ from .evidence import CampaignEvidence
 from .forms import FORMS, Linear, Setting
 from .screen import Candidate
 
-__all__ = ["candidate_at", "candidates_of", "registry_name", "titles"]
+__all__ = ["candidate_at", "candidates_of", "registry_name"]
 
 #: width of the prior of a parameter over its typical size in the registry
 _PRIOR_WIDTH = 10.0
@@ -22,11 +22,6 @@ def registry_name(name: str, setting: Setting) -> str:
     """Name in the registry of an effect at a setting: a variant may have one of its own."""
     per_axis = FORMS[name].per_axis
     return per_axis if per_axis and setting.get("axes") else name
-
-
-def titles() -> dict[str, str]:
-    """Titles of the effects that the diagnoser knows."""
-    return {name: EFFECTS[name].title for name in FORMS if name in EFFECTS}
 
 
 def candidates_of(

@@ -209,14 +209,13 @@ def _probabilities(selection: Selection) -> tuple[float, float]:
 
 
 def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:
-    rate_shift, rate_sd = _rate_shift(model, rich)
+    _, rate_sd = _rate_shift(model, rich)
     scale_shift, scale_sd = _scale_shift(model, rich)
-    before = math.hypot(shrunk.rate_before, 0.0)
     return Gap(
         rms_before=shrunk.rms_before,
         rms_after=shrunk.rms_after,
         closed_fraction=Quantity(shrunk.closed, shrunk.closed_sd if math.isfinite(shrunk.closed_sd) else 0.0, "1"),
-        bias_before=Quantity(max(before, abs(rate_shift)) / DEG_H, rate_sd / DEG_H, "deg/h"),
+        bias_before=Quantity(shrunk.rate_before / DEG_H, rate_sd / DEG_H, "deg/h"),
         bias_after=Quantity(shrunk.rate_after / DEG_H, rate_sd / DEG_H, "deg/h"),
         scale_before=Quantity(abs(scale_shift) / PPM, scale_sd / PPM, "ppm"),
         scale_after=Quantity(0.0, scale_sd / PPM, "ppm"),

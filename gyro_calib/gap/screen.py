@@ -8,7 +8,7 @@ sizes the evidence against none has the closed form ``ln B = b^T (F + L^-1)^-1 b
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,13 +18,11 @@ from .columns import Column
 from .forms import Setting
 from .system import Whitener
 
-__all__ = ["Candidate", "Screened", "Screener", "best_settings"]
+__all__ = ["Candidate", "Screened", "Screener"]
 
 FloatArray = NDArray[np.float64]
 #: singular values below this share of the column's norm are directions that the nuisances imitate
 _ABSORBED = 1e-4
-#: width of the prior of a parameter over its typical size
-_PRIOR_WIDTH = 10.0
 
 
 @dataclass(frozen=True)
@@ -122,11 +120,8 @@ class Screener:
         raw = np.vstack([self._whitener.design(columns, self._count), np.zeros((self._pad, len(columns)))])
         return raw - self._basis @ (self._basis.T @ raw), np.linalg.norm(raw, axis=0)
 
-    def screen(self, candidate: Candidate, temper: float = 1.0) -> Screened | None:
-        """What a candidate explains; nothing when no recording holds it or the nuisances imitate all of it.
-
-        ``temper``: by how much the squared noise is taken to be larger than it was measured.
-        """
+    def screen(self, candidate: Candidate) -> Screened | None:
+        """What a candidate explains; nothing when no recording holds it or the nuisances imitate all of it."""
         clean, norms = self.projected(candidate.columns)
         used = norms > 0.0
         if not used.any():
@@ -141,19 +136,9 @@ class Screener:
         inside = u.T @ self.left
         values = vt.T @ (inside / s) / scale
         sd = np.sqrt(np.sum((vt.T / s) ** 2, axis=1)) / scale
-        b, F = clean.T @ self.left / temper, clean.T @ clean / temper
+        b, F = clean.T @ self.left, clean.T @ clean
         width = candidate.prior_sd
         inner = np.eye(width.size) + width[:, None] * F * width[None, :]
         _, logdet = np.linalg.slogdet(inner)
         log_evidence = 0.5 * float((width * b) @ np.linalg.solve(inner, width * b)) - 0.5 * float(logdet) - math.log(candidate.choices)
         return Screened(candidate, float(inside @ inside), int(kept.sum()), log_evidence, values, sd, absorbed, u)
-
-
-def best_settings(screener: Screener, candidates: Mapping[str, Sequence[Candidate]], temper: float = 1.0) -> dict[str, Screened]:
-    """The setting of each effect that explains most."""
-    best: dict[str, Screened] = {}
-    for name, settings in candidates.items():
-        found = [s for s in (screener.screen(c, temper) for c in settings) if s is not None]
-        if found:
-            best[name] = max(found, key=lambda s: s.log_evidence)
-    return best
