@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -218,7 +219,11 @@ def test_consumer_integrates_standard_messages(ros):
     assert "gyro_calib" not in re.sub(r'""".*?"""', "", script.read_text(), count=1, flags=re.DOTALL)
     process = subprocess.Popen([sys.executable, str(script), "--seconds", "20"], stdout=subprocess.PIPE, text=True)
     wait_for(lambda: raw.get_subscription_count() and imu.get_subscription_count(), 30.0, "the consumer")
-    for k in range(2400):
+    deadline = time.monotonic() + 60.0
+    for k in count():
+        # best effort: what a busy machine drops is sent again, later
+        if process.poll() is not None or time.monotonic() > deadline:
+            break
         twist, message = TwistStamped(), Imu()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(5_000_000_000 + k * 10_000_000, 10**9)
         twist.header.stamp = message.header.stamp

@@ -98,6 +98,10 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: s.time_s[:, None] * _axis(x[:, ::-1], 1),
     ],
     ("Omega x", "rate"): [_by(lambda s: s.rate_rad_s)],
+    ("Omega x, crossed", "rate"): [
+        lambda s, x: s.rate_rad_s[:, None] * _axis(x[:, ::-1], 0),
+        lambda s, x: s.rate_rad_s[:, None] * _axis(x[:, ::-1], 1),
+    ],
     ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
     ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
     ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],

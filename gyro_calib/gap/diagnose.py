@@ -123,7 +123,13 @@ def _found(model: CampaignModel, e: Screened, group: tuple[str, ...], probabilit
     name = registry_name(e.name, e.candidate.setting)
     effect = EFFECTS[name]
     units = {p.name: p.unit for p in effect.parameters}
-    parameters = {k: Quantity(v, sd, units.get(k, "1")) for k, (v, sd) in e.sizes().items() if k in units or k == "share"}
+    fitted = {c.name: k for k, c in enumerate(rich.columns)}
+    parameters = {
+        column.name: Quantity(float(rich.values[k]), math.sqrt(float(rich.covariance[k, k])), units.get(column.name, "1"))
+        for column in e.candidate.columns
+        if column.name in units or column.name == "share"
+        for k in (fitted[f"{e.name}.{column.name}"],)
+    }
     for key, value in e.candidate.setting.items():
         if key in units:
             parameters[key] = Quantity(value, _setting_sd(model, e, key), units[key])

@@ -145,7 +145,7 @@ class CampaignEvidence:
 
 def _evidence(index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float) -> RecordingEvidence:
     width = max(1, round(recording.sample_rate_hz / THIN_HZ))
-    signals = Signals(recording, omega0, decay_rate, width, temperature, start)
+    signals = Signals(recording, omega0, decay_rate, width, temperature, start, index)
     rise = smooth_temperature(recording) - temperature
     products = Products(
         recording,

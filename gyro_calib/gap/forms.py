@@ -41,6 +41,9 @@ class Linear:
         kappa as the factory states it.
     frequency_slope_rad_s_k : float
         Change of the resonance with temperature.
+    detuning_rad_s : tuple of ndarray
+        By recording and row how far the resonance lay from the frequency of reference, by temperature and by its wander; empty: as the
+        slope says.
     """
 
     A: ComplexArray
@@ -48,11 +51,13 @@ class Linear:
     E: ComplexArray
     angular_gain: float
     frequency_slope_rad_s_k: float
+    detuning_rad_s: tuple[FloatArray, ...] = ()
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
-        """A x, with A at each row's temperature and applied rate, shape (n, 2)."""
+        """A x, with A at each row's resonance and applied rate, shape (n, 2)."""
+        detuning = self.detuning_rad_s[s.index] if self.detuning_rad_s else self.frequency_slope_rad_s_k * s.temperature_k
         turning = self.angular_gain * s.rate_rad_s[:, None] * _turned(x)
-        return np.asarray(x @ self.A.T + 1j * self.frequency_slope_rad_s_k * s.temperature_k[:, None] * x - turning)
+        return np.asarray(x @ self.A.T + 1j * detuning[:, None] * x - turning)
 
 
 @dataclass(frozen=True)

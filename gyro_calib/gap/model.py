@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..recording.recording import Recording
+from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .columns import Column
 from .evidence import CampaignEvidence
@@ -18,6 +19,7 @@ from .noise import first_noise, measured_noise
 from .nuisance import frequency_columns, linear_columns, linear_of, slow_columns, target_of, thermal_columns, wander_columns, with_wander
 from .preflight import check_linear
 from .screen import Candidate, Screener
+from .slow import measured_drifts, slow_drifts, with_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
 
 __all__ = ["CampaignModel", "look_at"]
@@ -27,8 +29,6 @@ ComplexArray = NDArray[np.complex128]
 _WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 #: of the settings of a gridded effect, how many the saturated model holds
 _SATURATED_SETTINGS = 4
-#: columns of the saturated model over equations, at most
-_SATURATION = 0.35
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class CampaignModel:
     nuisances : tuple of Column
     candidates : mapping
         Effects of the registry, by name.
+    bank : sequence of (Anonymous, Candidate)
+        Terms without a name.
     screener : Screener
         Against the nuisances alone.
     base : Solution
@@ -55,6 +57,7 @@ class CampaignModel:
     whitener: Whitener
     nuisances: tuple[Column, ...]
     candidates: Mapping[str, Sequence[Candidate]]
+    bank: Sequence[tuple[Anonymous, Candidate]]
     screener: Screener
     base: Solution
 
@@ -68,8 +71,9 @@ class CampaignModel:
         return target_of(self.evidence, self.linear.angular_gain)
 
     def fitted(self, candidates: Sequence[Candidate]) -> Solution:
-        """The nuisances and these effects together."""
-        columns = [*self.nuisances, *effect_columns(candidates)]
+        """The nuisances and these effects together; of what is both, the effect is all of it."""
+        names = {c.name for c in candidates}
+        columns = [*(c for c in self.nuisances if c.name.split(".")[0] not in names), *effect_columns(candidates)]
         return solve(columns, self.whitener.design(columns, len(self.evidence)), self.whitener.rows(self.target))
 
     def screener_with(self, candidates: Sequence[Candidate]) -> Screener:
@@ -118,34 +122,40 @@ def look_at(
     check_linear(linear, rough, recordings)
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander), angular_gain, angular_gain)
+    linear = _resonant(evidence, _nuisances(evidence, linear, _MOST_WANDER * wander), angular_gain)
     report(0.35, "effects of the registry")
     nuisances = _nuisances(evidence, linear, wander)
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
+    bank = anonymous_candidates(evidence, linear)
+    # a wave that is turned shows what depends on rate, whatever its name
+    turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
     report(0.75, "noise")
-    of_rate = [*nuisances, *(c for name in candidates if "rate" in EFFECTS[name].needs for c in candidates[name][0].columns)]
-    noise, excess = measured_noise(evidence, _saturated(evidence, nuisances, candidates), of_rate, angular_gain)
+    drifts = slow_drifts(evidence, linear)
+    saturated = _saturated(evidence, [*nuisances, *drifts], candidates, turned)
+    of_rate = [*nuisances, *drifts, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
+    noise, excess = measured_noise(evidence, saturated, of_rate, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
-    moved = _wander(evidence, _saturated(evidence, nuisances, candidates), whitener, target, wander)
-    nuisances = [*with_wander(nuisances, moved), *slow_columns(evidence, linear, moved["shift"])]
+    rich = solve(saturated, whitener.design(saturated, len(evidence)), whitener.rows(target))
+    moved = _wander(evidence, rich, wander)
+    nuisances = [
+        *with_wander(nuisances, moved),
+        *slow_columns(evidence, linear, moved["shift"]),
+        *with_drifts(drifts, measured_drifts(rich)),
+    ]
     base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))
     report(1.0, "noise")
-    return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, Screener(whitener, nuisances, target), base)
+    return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, bank, Screener(whitener, nuisances, target), base)
 
 
-def _wander(
-    evidence: CampaignEvidence, saturated: list[Column], whitener: Whitener, target: list[ComplexArray], before: float
-) -> dict[str, float]:
+def _wander(evidence: CampaignEvidence, rich: Solution, before: float) -> dict[str, float]:
     """How the resonance moves between and within recordings, while everything that could be an effect is allowed for."""
-    solution = solve(saturated, whitener.design(saturated, len(evidence)), whitener.rows(target))
     found = {}
     for kind in ("shift", "slide"):
         places = [
-            k
-            for k, c in enumerate(solution.columns)
-            if c.name.split("_")[0] == kind and evidence.recordings[int(c.name.split("_")[1])].is_wave
+            k for k, c in enumerate(rich.columns) if c.name.split("_")[0] == kind and evidence.recordings[int(c.name.split("_")[1])].is_wave
         ]
-        squares = solution.values[places] ** 2 + np.diag(solution.covariance)[places]
+        squares = rich.values[places] ** 2 + np.diag(rich.covariance)[places]
         found[kind] = float(np.clip(np.sqrt(squares.mean()), _LEAST_WANDER * before, _MOST_WANDER * before)) if places else before
     return found
 
@@ -167,8 +177,18 @@ def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: flo
     return linear_of(evidence, values, angular_gain), values
 
 
-def _saturated(evidence: CampaignEvidence, nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
-    """Everything at once, as far as there are equations for it.
+def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: float) -> Linear:
+    """The linear device with where its resonance lay in every record: that asks for noise of the right size, of a fit without effects."""
+    noise, excess = measured_noise(evidence, columns, columns, angular_gain)
+    whitener = Whitener.of(evidence, noise, excess)
+    values = solve(columns, whitener.design(columns, len(evidence)), whitener.rows(target_of(evidence, angular_gain))).by_name()
+    return linear_of(evidence, values, angular_gain)
+
+
+def _saturated(
+    evidence: CampaignEvidence, nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]], turned: Sequence[Candidate]
+) -> list[Column]:
+    """Every effect at once, each of a size that it may have, and unnamed terms of rate.
 
     Where no open drive of both axes told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the
     pick-off's, and a feedthrough or a lag that is free would explain the noise away.
@@ -176,12 +196,6 @@ def _saturated(evidence: CampaignEvidence, nuisances: Sequence[Column], candidat
     excitations = [r.recording.command.excitation for r in evidence]
     if {e.axis for e in excitations if e.kind == "drive"} < {"x", "y"}:
         return [c for c in nuisances if not c.name.startswith(("E_", "drive_lag"))]
-    most = _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
-    for settings in (_SATURATED_SETTINGS, 1):
-        columns = list(nuisances)
-        for tried in candidates.values():
-            for candidate in tried[:: max(1, len(tried) // settings)]:
-                columns += [c for c in candidate.columns if any(np.any(v) for v in c.signal)]
-        if len(columns) < most:
-            return columns
-    return list(nuisances)
+    chosen = [c for tried in candidates.values() for c in tried[:: max(1, len(tried) // _SATURATED_SETTINGS)]]
+    held = [c for c in effect_columns([*chosen, *turned]) if any(np.any(v) for v in c.signal)]
+    return [*nuisances, *held]

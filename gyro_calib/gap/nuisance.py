@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..estimation.wave_projection import WaveProjected
-from .columns import QUIET, SIGNAL, Column, form_columns
+from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .forms import FORMS, Linear
+from .forms import FORMS, Linear, Part
 
 __all__ = [
     "frequency_columns",
@@ -44,8 +44,8 @@ _DISPERSION, _SKEWED_RATE = 5e-3, 0.05
 _KAPPA = 3e-4
 #: drift of the resonance over a campaign in units of its wander; constant volts that reach a drive besides the command [V]
 _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
-#: how late a temperature sensor is [s]
-_SENSOR_LAG_S = 0.03
+#: how late a temperature sensor is behind the resonator, and behind what warms elsewhere [s]
+_SENSOR_LAG_S, _GRADIENT_LAG_S = 0.03, 0.3
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
 _FEEDTHROUGH, _ROW_MOMENT = 2e-3, 1.0
 _TURNED_RAD = np.pi
@@ -212,7 +212,21 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         ("thermal_pickoff_gain", _GAIN_PER_K),
     ):
         columns += _form(evidence, linear, name, {"g_x": size, "g_y": size})
-    return columns
+    return columns + _gradient_columns(evidence, linear)
+
+
+def _gradient_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """Gains and damping while the temperature moves: their places are not the sensor's, and lag behind it by tenths of a second."""
+    by_recording = []
+    for r in evidence:
+        slope = np.gradient(r.signals.temperature_k, r.signals.row_s)[:, None]
+        motion = r.signals.pick - r.signals.drive @ linear.E.T
+        parts = [Part(f"gradient_gain_{a}", "drive", slope * r.signals.drive * np.eye(2)[k]) for k, a in enumerate("xy")]
+        by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion)])
+    damping = abs(np.trace(linear.A).real) / 2.0
+    sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S}
+    found = part_columns(evidence, by_recording, linear)
+    return [replace(c, prior_sd=sizes.get(c.name, _GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
 
 
 def with_wander(columns: Sequence[Column], wander_rad_s: Mapping[str, float]) -> list[Column]:
@@ -245,7 +259,7 @@ def wander_columns(evidence: CampaignEvidence, wander_rad_s: float) -> list[Colu
     return columns
 
 
-def linear_of(evidence: CampaignEvidence, values: dict[str, float], angular_gain: float) -> Linear:
+def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_gain: float) -> Linear:
     """The linear device that a solution says."""
 
     def matrix(letter: str) -> ComplexArray:
@@ -253,7 +267,17 @@ def linear_of(evidence: CampaignEvidence, values: dict[str, float], angular_gain
         return np.array(entries).reshape(2, 2)
 
     A, reduced, E = matrix("A"), matrix("G"), matrix("E")
-    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0))
+    detuning = tuple(_detuning(r, values) for r in evidence)
+    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), detuning)
+
+
+def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> NDArray[np.float64]:
+    """How far the resonance lay from the frequency of reference, row by row: what a pick-off that errs is multiplied by."""
+    s, slope = r.signals, values.get("frequency_per_k", 0.0)
+    warm = slope * s.temperature_k + values.get("frequency_per_k2", 0.0) * s.temperature_k**2
+    late = -slope * values.get("thermal_lag.tau", 0.0) * np.gradient(s.temperature_k, s.row_s)
+    wander = values.get(f"shift_{r.index}", 0.0) + values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(s.time_s))
+    return np.asarray(warm + late + wander + values.get("frequency_ageing.k", 0.0) * s.time_s)
 
 
 def _form(evidence: CampaignEvidence, linear: Linear, name: str, sizes: dict[str, float]) -> list[Column]:

@@ -136,9 +136,10 @@ class Screener:
         inside = u.T @ self.left
         values = vt.T @ (inside / s) / scale
         sd = np.sqrt(np.sum((vt.T / s) ** 2, axis=1)) / scale
-        b, F = clean.T @ self.left, clean.T @ clean
-        width = candidate.prior_sd
-        inner = np.eye(width.size) + width[:, None] * F * width[None, :]
-        _, logdet = np.linalg.slogdet(inner)
-        log_evidence = 0.5 * float((width * b) @ np.linalg.solve(inner, width * b)) - 0.5 * float(logdet) - math.log(candidate.choices)
+        # in the directions that the nuisances leave: prior variances of what they hold, and the data there
+        told = (s[:, None] * vt) * (scale * candidate.prior_sd)
+        variances, axes = np.linalg.eigh(told @ told.T)
+        variances = np.maximum(variances, 0.0)
+        shrunk = variances / (1.0 + variances) * (axes.T @ inside) ** 2
+        log_evidence = 0.5 * float(np.sum(shrunk - np.log1p(variances))) - math.log(candidate.choices)
         return Screened(candidate, float(inside @ inside), int(kept.sum()), log_evidence, values, sd, absorbed, u)

@@ -7,13 +7,13 @@ anonymous terms are tried on what is left: if they close a share of the gap that
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from ..effects import EFFECTS
-from .anonymous import Anonymous, anonymous_candidates
+from .anonymous import Anonymous
 from .candidates import registry_name
 from .exact_levels import best_exact_level
 from .model import CampaignModel
@@ -35,7 +35,7 @@ _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
 _PAIRED = 8
 #: a share of the gap that is left after the best set, from which on something is missing from the catalogue; and its significance
-_LEFT_SHARE, _LEFT_SIGMA = 0.02, 6.0
+_LEFT_SHARE, _LEFT_SIGMA = 0.04, 6.0
 #: how much better an anonymous term must be than the registry
 _BETTER = 12.0
 #: log evidence that a hundred anonymous terms may reach by chance beyond what fifty named ones do
@@ -90,7 +90,6 @@ class Selection:
     chi2_before: float
     chi2_after: float
     dof: int
-    bank: tuple[tuple[Anonymous, Candidate], ...] = field(default=(), repr=False)
 
 
 def physical(found: Screened, *, rough: bool = True) -> bool:
@@ -128,19 +127,19 @@ def select_effects(model: CampaignModel) -> Selection:
     ranked, largest = first, first[0].gain if first else 0.0
     while ranked and _enough(ranked[0], largest) and len(chosen) < _MOST_EFFECTS:
         chosen.append(ranked[0].candidate)
+        # about the device that holds it: what its first order leaves would pass for the next effect
+        chosen = relinearised(model, [*chosen[:-1], _refined(model, chosen, len(chosen) - 1)])
         ranked = _ranked(model, chosen)
     if not chosen:
-        chosen = _pair(model, first)
-    chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
+        chosen = [_refined(model, pair, k) for pair in (_pair(model, first),) for k in range(len(pair))]
     chosen = _improved(model, chosen, largest)
     chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
-    chosen, effects = _settled(model, chosen)
+    chosen, effects = _settled(model, chosen, largest)
     _, effects = _or_exact_level(model, chosen, effects)
     chosen = [e.candidate for e in effects]
     groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
     screener = model.screener_with(chosen)
-    bank = anonymous_candidates(model.evidence, model.linear)
-    stranger = _stranger(model, chosen, effects, bank, first)
+    stranger = _stranger(model, chosen, effects, first)
     return Selection(
         effects=effects,
         groups=groups,
@@ -150,7 +149,6 @@ def select_effects(model: CampaignModel) -> Selection:
         chi2_before=model.screener.chi2,
         chi2_after=screener.chi2,
         dof=screener.dof,
-        bank=tuple(bank),
     )
 
 
@@ -167,15 +165,16 @@ def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
     return best[1]
 
 
-def _settled(model: CampaignModel, chosen: list[Candidate]) -> tuple[list[Candidate], tuple[Screened, ...]]:
-    """The effects about the device that holds them; one whose size is not one that it can have is none."""
-    chosen = relinearised(model, chosen)
-    effects = _together(model, chosen)
-    kept = [e.candidate for e in effects if physical(e, rough=False)]
-    if len(kept) < len(effects):
-        chosen = relinearised(model, kept)
+def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> tuple[list[Candidate], tuple[Screened, ...]]:
+    """The effects about the device that holds them; one of a size that it cannot have, or that the others make needless, is none."""
+    while True:
+        chosen = relinearised(model, chosen)
         effects = _together(model, chosen)
-    return chosen, effects
+        doubtful = [e for e in effects if not (physical(e, rough=False) and (len(effects) == 1 or _enough(e, largest)))]
+        if not doubtful:
+            return chosen, effects
+        least = min(doubtful, key=lambda e: e.log_evidence)
+        chosen = [e.candidate for e in effects if e is not least]
 
 
 def _or_exact_level(
@@ -277,12 +276,11 @@ def _stranger(
     model: CampaignModel,
     chosen: Sequence[Candidate],
     effects: Sequence[Screened],
-    bank: Sequence[tuple[Anonymous, Candidate]],
     first: Sequence[Screened],
 ) -> Stranger | None:
     """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
     screener = model.screener_with(chosen)
-    rest = [(s, a) for a, c in bank if (s := screener.screen(c)) is not None]
+    rest = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
     nearest = first[0].name if first else ""
     significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
     before = model.screener.chi2 - model.screener.dof
@@ -293,7 +291,9 @@ def _stranger(
         if best.log_evidence > MARGIN + _BANK_MARGIN and best.gain > max(LEAST_GAIN + 2.0 * _BANK_MARGIN, _LEFT_SHARE * explained):
             return Stranger(term, best, nearest)
         if chosen:
-            alone = max(((s, a) for a, c in bank if (s := model.screener.screen(c)) is not None), key=lambda pair: pair[0].log_evidence)
+            alone = max(
+                ((s, a) for a, c in model.bank if (s := model.screener.screen(c)) is not None), key=lambda pair: pair[0].log_evidence
+            )
             together = sum(e.log_evidence for e in effects) if len(effects) == 1 else _set_evidence(model, chosen)
             if alone[0].log_evidence > together + _BETTER:
                 return Stranger(alone[1], alone[0], nearest)

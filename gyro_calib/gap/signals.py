@@ -56,6 +56,8 @@ class Signals:
         Temperature that ``temperature_k`` is counted from.
     start_s : float
         Device time that ``time_s`` is counted from.
+    index : int
+        Place of the recording in its campaign.
     """
 
     recording: Recording
@@ -64,6 +66,7 @@ class Signals:
     width: int
     temperature_degc: float
     start_s: float
+    index: int = 0
 
     @cached_property
     def row_s(self) -> float:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from .columns import Column
 from .evidence import CHANNELS, CampaignEvidence
@@ -26,6 +26,14 @@ class Whitener:
     """Turns complex equations into real ones of unit noise: by recording the real parts, then the imaginary ones, along then across."""
 
     factors: tuple[tuple[FloatArray, FloatArray], ...]
+    #: columns that were whitened before: the same effects are screened again and again
+    _known: dict[int, tuple[Column, FloatArray]] = field(default_factory=dict, repr=False, compare=False)
+
+    @cached_property
+    def _inverses(self) -> list[tuple[FloatArray, FloatArray]]:
+        return [
+            (np.asarray(np.linalg.inv(re), dtype=np.float64), np.asarray(np.linalg.inv(im), dtype=np.float64)) for re, im in self.factors
+        ]
 
     @classmethod
     def of(cls, evidence: CampaignEvidence, noise: NoiseByRole, excess: Mapping[tuple[int, str], float] | None = None) -> Whitener:
@@ -47,13 +55,17 @@ class Whitener:
     def rows(self, by_recording: Sequence[ComplexArray]) -> FloatArray:
         """Whitened real rows of vectors (m,) or matrices (m, k), recordings one below the other."""
         parts = []
-        for (re, im), x in zip(self.factors, by_recording, strict=True):
-            parts += [solve_triangular(re, x.real, lower=True), solve_triangular(im, x.imag, lower=True)]
+        for (re, im), x in zip(self._inverses, by_recording, strict=True):
+            parts += [re @ x.real, im @ x.imag]
         return np.concatenate(parts)
 
     def design(self, columns: Sequence[Column], count: int) -> FloatArray:
         """Whitened design, shape (rows, columns)."""
-        return self.rows([np.stack([c.signal[k] for c in columns], axis=1) for k in range(count)])
+        fresh = [c for c in columns if id(c) not in self._known]
+        if fresh:
+            block = self.rows([np.stack([c.signal[k] for c in fresh], axis=1) for k in range(count)])
+            self._known.update({id(c): (c, column) for c, column in zip(fresh, block.T.copy(), strict=True)})
+        return np.stack([self._known[id(c)][1] for c in columns], axis=1)
 
 
 @dataclass(frozen=True)
@@ -83,6 +95,10 @@ class Solution:
     def by_name(self) -> dict[str, float]:
         """Values by name."""
         return {c.name: float(v) for c, v in zip(self.columns, self.values, strict=True)}
+
+
+def _inverse(factor: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(factor), dtype=np.float64)
 
 
 def solve(columns: Sequence[Column], design: FloatArray, target: FloatArray) -> Solution:

@@ -84,6 +84,8 @@ class Label:
     poor : str
     ramp_k_per_s : float
         Drift of the temperature.
+    drifts : tuple of str
+        Effects of the registry by which the unit drifts besides: to name them is right, but not what is asked.
     """
 
     number: int
@@ -95,6 +97,7 @@ class Label:
     like: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     poor: str = ""
     ramp_k_per_s: float = 0.0
+    drifts: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

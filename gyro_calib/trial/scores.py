@@ -109,15 +109,21 @@ def gates(outcomes: Sequence[Outcome]) -> list[TrialGate]:
     ]
 
 
+def asked(o: Outcome) -> list[Found]:
+    """What was named besides the drifts that the unit has on top."""
+    besides = set(o.label.drifts) - set(o.label.names)
+    return [e for e in o.verdict.effects if not besides & {e.name, *e.group}]
+
+
 def is_top(o: Outcome) -> bool:
     """Whether the first group that is named holds the truth."""
-    first = max(o.verdict.effects, key=lambda e: e.gain, default=None)
+    first = max(asked(o), key=lambda e: e.gain, default=None)
     return o.verdict.verdict == "effects" and first is not None and bool(set(o.label.names) & set(first.group))
 
 
 def reported_set(o: Outcome) -> set[str]:
     """Everything that the verdict names."""
-    return {name for e in o.verdict.effects for name in (e.name, *e.group)}
+    return {name for e in asked(o) for name in (e.name, *e.group)}
 
 
 def is_covered(o: Outcome) -> bool:
@@ -127,7 +133,7 @@ def is_covered(o: Outcome) -> bool:
 
 def is_exact(o: Outcome) -> bool:
     """As many groups as effects, each with its own effect."""
-    truth, found = o.label.names, o.verdict.effects
+    truth, found = o.label.names, asked(o)
     if o.verdict.verdict != "effects" or len(found) != len(truth):
         return False
     # of two, one order or the other

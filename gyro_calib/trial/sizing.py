@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from ..effects import EFFECTS
 from ..gap.columns import form_columns
@@ -22,7 +23,7 @@ __all__ = ["Sized", "imitators", "size_effect"]
 
 FloatArray = NDArray[np.float64]
 #: sizes beyond so many times the typical one are no longer the effect that the catalogue means
-_MOST_TYPICAL = 30.0
+_MOST_TYPICAL = 10.0
 #: parameters that a form has as a setting are drawn about their typical value, by this factor at most
 _SETTING_SPREAD = 2.5
 _LEVELS = 24
@@ -76,30 +77,42 @@ def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Gene
         setting["axes"] = 1.0
     elif FORMS[name].per_axis:
         setting["axes"] = 0.0
-    columns, _ = model.screener.projected(form_columns(model.evidence, FORMS[reported_name(name)], model.linear, setting))
+    found = form_columns(model.evidence, FORMS[reported_name(name)], model.linear, setting)
+    # what no campaign tells from the wander of the resonance has no column, and stays zero
+    silent = dict.fromkeys(set(linear) - {c.name for c in found}, 0.0)
+    linear = tuple(c.name for c in found)
+    columns, _ = model.screener.projected(found)
     draw = {p: effect.parameter(p).typical * _share(effect.parameter(p).signed, rng) for p in linear}
     signal = columns @ np.array([draw[p] for p in linear])
     strength = float(np.linalg.norm(signal))
     if not strength > 0.0 or (factor := snr / strength) > _MOST_TYPICAL:
         return None
-    sizes = {p: factor * value for p, value in draw.items()} | {k: v for k, v in setting.items() if k != "axes"}
+    sizes = {p: factor * value for p, value in draw.items()} | {k: v for k, v in setting.items() if k != "axes"} | silent
     if any(not effect.parameter(p).lower <= v <= effect.parameter(p).upper for p, v in sizes.items()):
         return None
     return Sized(name, sizes, factor * signal)
 
 
 def _levelled(model: CampaignModel, name: str, snr: float) -> Sized | None:
-    """A clipping or dead level, found on a grid: the further it bites, the larger."""
+    """A clipping or dead level, from a grid and by bisection between its points: the further it bites, the larger."""
     form = FORMS[name]
     grid = [s["level"] for s in form.settings([r.signals for r in model.evidence])]
     levels = np.geomspace(min(grid), max(grid), _LEVELS)
-    strengths = [float(np.linalg.norm(_level_signal(model, name, level))) for level in levels]
-    order = np.argsort(strengths)
-    if not strengths[order[0]] < snr < strengths[order[-1]]:
+    excess = np.array([_level_excess(float(np.log(level)), model, name, snr) for level in levels])
+    crossed = np.flatnonzero(excess[:-1] * excess[1:] < 0.0)
+    if not crossed.size:
         return None
-    floor = 1e-9 * snr
-    level = float(np.exp(np.interp(np.log(snr), np.log(np.maximum(strengths, floor))[order], np.log(levels)[order])))
-    return Sized(name, {"level": level}, _level_signal(model, name, level))
+    # of several the one that bites least: towards large levels for a limit, towards small ones for a dead zone
+    k = int(crossed[-1] if excess[0] > excess[-1] else crossed[0])
+    ends = np.log(levels[k]), np.log(levels[k + 1])
+    level = float(np.exp(brentq(_level_excess, *ends, args=(model, name, snr), xtol=1e-4)))
+    signal = _level_signal(model, name, level)
+    # where amplitudes come in steps so does what is clipped
+    return Sized(name, {"level": level}, signal) if 0.7 < float(np.linalg.norm(signal)) / snr < 1.4 else None
+
+
+def _level_excess(log_level: float, model: CampaignModel, name: str, snr: float) -> float:
+    return float(np.linalg.norm(_level_signal(model, name, float(np.exp(log_level))))) - snr
 
 
 def _level_signal(model: CampaignModel, name: str, level: float) -> FloatArray:

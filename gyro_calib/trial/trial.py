@@ -103,18 +103,16 @@ def prepare(trial: Trial, seed: int, quality: str = "standard") -> Prepared:
     if trial.stratum == "removed":
         name = reported_name(sized[0].name)
         without = (name, *(other for other, left in like[name].items() if left < LIKE))
-    ramp = 0.0
+    ramp, drifts = 0.0, {}
     shown = {s.name: dict(s.sizes) for s in sized}
     device = unit.device
     if trial.stratum == "drift":
         ramp = float(_RAMP_K_PER_S * rng.standard_normal())
-        device = with_effects(
-            device,
-            {
-                "frequency_ageing": {"k": float(_AGEING * rng.standard_normal())},
-                "damping_drift": {"c": float(_LEAK * rng.standard_normal())},
-            },
-        )
+        drifts = {
+            "frequency_ageing": {"k": float(_AGEING * rng.standard_normal())},
+            "damping_drift": {"c": float(_LEAK * rng.standard_normal())},
+        }
+        device = with_effects(device, drifts)
     plan = campaign_plan(trial.kind, unit.device.factory(), rng, quality)
     if trial.poor:
         plan = poor_plan(plan, trial.poor, unit.mode, unit.device.factory_data.nominal_amplitude_v)
@@ -128,6 +126,7 @@ def prepare(trial: Trial, seed: int, quality: str = "standard") -> Prepared:
         like={name: {k: round(v, 3) for k, v in list(others.items())[:6]} for name, others in like.items()},
         poor=trial.poor,
         ramp_k_per_s=ramp,
+        drifts=tuple(drifts),
     )
     nonce = secrets.token_hex(16)
     seal = Seal.of(label, nonce)

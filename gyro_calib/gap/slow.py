@@ -1,0 +1,111 @@
+"""What moves slower than a recording: drives' stray volts and gains, the rate's own floor, as slow cosines of a flicker's sizes.
+
+A 1/f floor does not end at the length of a record: the means of records that follow one another err alike, and a campaign of some minutes
+sees it as a drift. Treated as independent from record to record it is taken for an effect of time. Half cosines ``cos(pi k t/T)`` of the
+campaign's time T with variances ``s^2/k`` are a flicker noise to that order; the size s of each family is measured by the likelihood of its
+coefficients, while everything that could be an effect is allowed for (:mod:`.noise`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from .columns import Column, part_columns
+from .evidence import CampaignEvidence, RecordingEvidence
+from .forms import Linear, Part
+from .system import Solution
+
+__all__ = ["measured_drifts", "slow_drifts", "with_drifts"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: half cosines of the campaign's time
+_COSINES = 8
+#: how large a drift may be while it is not measured: stray volts over the volts that hold a wave, rate over the decay, relative gains
+_STRAY, _RATE, _GAIN = 1e-3, 1e-3, 3e-3
+_SIZES = np.concatenate([[1e-4], np.geomspace(1e-3, 1.0, 25)])
+_ROUNDS = 4
+
+
+def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
+    """What drifts, one unit of it: stray volts of each drive by phase, relative gains, rate."""
+    s = r.signals
+    closed = complex(r.is_wave)
+    unit = np.full((len(s.time_s), 2), closed)
+    motion = s.pick - s.drive @ linear.E.T
+    turned: ComplexArray = closed * np.stack([motion[:, 1], -motion[:, 0]], axis=1)
+    axes: list[ComplexArray] = [np.array([1.0 + 0j, 0.0]), np.array([0.0 + 0j, 1.0])]
+    parts = []
+    for axis, name in zip(axes, "xy", strict=True):
+        parts += [Part(f"stray{phase}.{name}", "drive", factor * unit * axis) for phase, factor in (("c", 1.0), ("s", 1j))]
+        parts.append(Part(f"gain.{name}", "drive", s.drive * axis))
+    return [*parts, Part("rate.z", "flow", turned)]
+
+
+def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """Slow cosines of everything that drifts, as large as they may be at most; named ``drift.family.axis.k``."""
+    base = part_columns(evidence, [_parts(r, linear) for r in evidence], linear)
+    times = np.array([float(r.signals.time_s.mean()) for r in evidence])
+    phase = np.pi * (times - times.min()) / max(float(np.ptp(times)), 1.0)
+    volts = float(np.median([np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))) for r in evidence if r.is_wave]))
+    largest = {"strayc": _STRAY * volts, "strays": _STRAY * volts, "gain": _GAIN, "rate": _RATE * evidence.decay_rate}
+    columns = []
+    for column in base:
+        family = column.name.split(".")[0]
+        for k in range(1, _COSINES + 1):
+            shape = np.cos(k * phase)
+            signal, quiet = (tuple(float(c) * v for c, v in zip(shape, of, strict=True)) for of in (column.signal, column.quiet))
+            columns.append(Column(f"drift.{column.name}.{k}", signal, quiet, largest[family] / np.sqrt(k)))
+    return [c for c in columns if any(np.any(v) for v in c.signal)]
+
+
+def measured_drifts(solution: Solution) -> dict[str, float]:
+    """Size of each family as a share of the largest that was allowed for, the most likely one.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a fit that held the columns of :func:`slow_drifts` at their largest.
+    """
+    places = [k for k, c in enumerate(solution.columns) if c.name.startswith("drift.")]
+    if not places:
+        return {}
+    columns = [solution.columns[k] for k in places]
+    prior = np.array([c.prior_sd for c in columns])
+    # in units of the prior: what the data alone say is the posterior less the prior
+    covariance = solution.covariance[np.ix_(places, places)] / np.outer(prior, prior)
+    posterior = np.linalg.inv(covariance + 1e-12 * np.eye(prior.size))
+    told = posterior @ (solution.values[places] / prior)
+    w, v = np.linalg.eigh(posterior - np.eye(prior.size))
+    data = (v * np.maximum(w, 0.0)) @ v.T
+    families = [_family(c) for c in columns]
+    sizes = dict.fromkeys(families, 0.03)
+    for _ in range(_ROUNDS):
+        for family in sizes:
+            scores = [_likelihood(data, told, families, {**sizes, family: float(s)}) for s in _SIZES]
+            sizes[family] = float(_SIZES[int(np.argmax(scores))])
+    return sizes
+
+
+def with_drifts(columns: Sequence[Column], shares: Mapping[str, float]) -> list[Column]:
+    """Drifts of measured size."""
+    return [replace(c, prior_sd=c.prior_sd * shares[_family(c)]) for c in columns]
+
+
+def _likelihood(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float]) -> float:
+    """Log likelihood of the coefficients, marginalised: prior variances s^2, precision and information of the data."""
+    sd = np.array([sizes[f] for f in families])
+    inner = np.eye(sd.size) + sd[:, None] * data * sd[None, :]
+    factor = cho_factor(inner, lower=True)
+    scaled = sd * told
+    return 0.5 * float(scaled @ cho_solve(factor, scaled)) - float(np.sum(np.log(np.diag(factor[0]))))
+
+
+def _family(c: Column) -> str:
+    """Both axes of a kind drift alike."""
+    return c.name.split(".")[1]
