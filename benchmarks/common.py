@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import platform
 import sys
@@ -12,6 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+# one thread for the linear algebra, as the command line takes it; before numpy is loaded, so import this first where times matter
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +24,7 @@ from gyro_calib.quantity import Quantity
 from gyro_calib.report.table import Table, number
 from gyro_calib.study import Gate
 
-__all__ = ["Options", "Outcome", "cpu_seconds", "gate_table", "machine", "main", "spread"]
+__all__ = ["Options", "Outcome", "cpu_seconds", "gate_table", "machine", "main", "ratio", "spread"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,12 @@ def spread(values: NDArray[np.float64], unit: str) -> Quantity:
     middle = float(np.median(values))
     deviation = 1.4826 * float(np.median(np.abs(values - middle)))
     return Quantity(middle, 1.2533 * deviation / np.sqrt(values.size), unit)
+
+
+def ratio(above: Quantity, below: Quantity) -> Quantity:
+    """``above / below`` with the sd of independent errors."""
+    value = above.value / below.value
+    return Quantity(value, abs(value) * math.hypot(above.sd / above.value, below.sd / below.value), "1")
 
 
 def machine() -> dict[str, Any]:

@@ -54,7 +54,13 @@ def share_path(*parts: str) -> Path:
 
 @lru_cache(maxsize=1)
 def package_version() -> str:
-    """Version of the package, as package.xml states it (the one place that does)."""
+    """Version of the package, as package.xml states it (the one place that does).
+
+    Raises
+    ------
+    GyroCalibError
+        There is no package.xml, or no version in it.
+    """
     text = share_path("package.xml").read_text(encoding="utf-8")
     match = re.search(r"<version>\s*([^<\s]+)\s*</version>", text)
     if match is None:

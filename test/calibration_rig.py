@@ -37,8 +37,8 @@ def store_record(device_id: str = DEVICE, **changes: Any) -> CalibrationRecord:
 class CalibrationClient:
     """Calls the services of a calibration node and hears its latched topics."""
 
-    def __init__(self, ros: RosSession, namespace: str = "/") -> None:
-        self.ros = ros
+    def __init__(self, ros: RosSession, namespace: str = "/", name: str = "gyro_calibration") -> None:
+        self.ros, self.name = ros, name
         self.node = ros.node("operator", namespace)
         self.status = self._listen(DiagnosticStatus, "status")
         self.calibration = self._listen(DiagnosticArray, "calibration")
@@ -48,15 +48,15 @@ class CalibrationClient:
         self.is_calibrated = self._listen(Bool, "is_calibrated")
 
     def _listen(self, kind: type[Any], topic: str) -> Listener:
-        return self.ros.listen(self.node, kind, f"gyro_calibration/{topic}", LATCHED_QOS)
+        return self.ros.listen(self.node, kind, f"{self.name}/{topic}", LATCHED_QOS)
 
     def call(self, name: str) -> Any:
         """Call a Trigger service."""
-        return self.ros.call(self.node, Trigger, f"gyro_calibration/{name}")
+        return self.ros.call(self.node, Trigger, f"{self.name}/{name}")
 
     def self_test(self) -> dict[str, Any]:
         """Verdict (``"passed"``), id (``"id"``) and the status of each check by its name."""
-        response = self.ros.call(self.node, SelfTest, "gyro_calibration/self_test")
+        response = self.ros.call(self.node, SelfTest, f"{self.name}/self_test")
         return {"passed": response.passed, "id": response.id, **{s.name: s for s in response.status}}
 
     @property

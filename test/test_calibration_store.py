@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
-import random
-import signal
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
 from calibration_samples import make_record
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from gyro_calib.calibration import RecordMissingError, RecordStore, document, dump_record, files
 from gyro_calib.calibration.location import default_path, resolve_url
@@ -269,34 +264,6 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
         RecordStore(tmp_path, DEVICE, keep=0)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.binary(max_size=200))
-def test_arbitrary_bytes_give_a_store_error(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "fuzz.yaml"
-    path.write_bytes(data)
-    with pytest.raises(StoreError):
-        RecordStore(path, DEVICE).load()
-
-
-GOOD = dump_record(numbered(1)).encode()
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    start=st.integers(GOOD.index(b"format:"), len(GOOD) - 1),
-    length=st.integers(0, 40),
-    insert=st.one_of(st.binary(max_size=8), st.text("0123456789.eE-+:{}[]!&*?|>'\"\n#, abnul", max_size=12).map(str.encode)),
-)
-def test_mutated_record_is_refused_or_means_the_same(tmp_path: Path, start: int, length: int, insert: bytes) -> None:
-    path = tmp_path / "fuzz.yaml"
-    path.write_bytes(GOOD[:start] + insert + GOOD[start + length :])
-    try:
-        record = RecordStore(path, DEVICE).load()
-    except StoreError:
-        return
-    assert record.to_dict() == numbered(1).to_dict()
-
-
 @pytest.mark.parametrize(
     "text",
     ["!!int x", "!!timestamp x", "!!bool x", "a: 2024-99-99", "? [a]\n: 1", "[" * 5000, "{" * 5000, "1" * 5000, "!!python/name:os.system"],
@@ -359,7 +326,7 @@ def test_directory_in_place_of_the_record_is_refused(tmp_path: Path) -> None:
         store.save(numbered(1))
 
 
-# --- several writers, and writers that die ------------------------------------------------------------------------------------
+# --- several writers; those that die are in test_store_kills.py ---------------------------------------------------------------
 
 
 def test_lock_of_another_process_times_out(store: RecordStore) -> None:
@@ -392,98 +359,3 @@ def test_concurrent_writers_lose_nothing(tmp_path: Path) -> None:
     store = RecordStore(path, DEVICE)
     found = {v.record.record_id for v in store.previous()} | {store.load().record_id}
     assert found == {numbered(100 * n + i).record_id for n in range(4) for i in range(5)}
-
-
-@pytest.fixture
-def in_child() -> Iterator[Callable[[Callable[[], None]], int]]:
-    """Start a function in a forked process; whatever is alive at the end is killed."""
-    children: list[int] = []
-
-    def start(work: Callable[[], None]) -> int:
-        pid = os.fork()
-        if pid == 0:
-            try:
-                work()
-            finally:
-                os._exit(0)
-        children.append(pid)
-        return pid
-
-    yield start
-    for pid in children:
-        try:
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
-        except (ProcessLookupError, ChildProcessError):
-            continue
-
-
-def test_writer_killed_at_any_moment_leaves_a_good_record(store: RecordStore, in_child) -> None:
-    """kill -9 at 50 random moments of an endless sequence of saves."""
-    store.save(numbered(0))
-    rng = random.Random(1)
-    records = [numbered(i) for i in range(1, 6)]
-    known = {r.record_id for r in records} | {numbered(0).record_id}
-
-    def save_for_ever() -> None:
-        while True:
-            for record in records:
-                store.save(record)
-
-    changed = set()
-    for _ in range(50):
-        pid = in_child(save_for_ever)
-        time.sleep(rng.uniform(0.0, 0.03))
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-        changed.add(store.load().record_id)  # never torn, never missing
-        assert {v.record.record_id for v in store.previous()} <= known
-    assert changed <= known
-    assert len(changed) > 2  # the children did save
-    store.save(numbered(9))
-    assert not list(store.path.parent.rglob("*tmp"))
-    assert store.load().record_id == numbered(9).record_id
-
-
-def test_writer_dying_at_each_system_call_leaves_old_or_new(tmp_path: Path, in_child) -> None:
-    """The same, without chance: the process ends at the first, second, … call that touches the disk, before and after it."""
-    old, new = numbered(2), numbered(3)
-    outcomes = []
-    for fatal in range(1, 200):
-        store = RecordStore(tmp_path / str(fatal) / "gyro.yaml", DEVICE)
-        store.save(numbered(1))
-        store.save(old)
-
-        def save_until_dead(store: RecordStore = store, fatal: int = fatal) -> None:
-            left = [fatal]
-
-            def mortal(real: Callable) -> Callable:
-                def call(*args, **kwargs):
-                    left[0] -= 1
-                    if left[0] == 0:
-                        os._exit(9)
-                    result = real(*args, **kwargs)
-                    left[0] -= 1
-                    if left[0] == 0:
-                        os._exit(9)
-                    return result
-
-                return call
-
-            for name in ("open", "write", "fsync", "link", "replace", "unlink", "close", "mkdir"):
-                setattr(os, name, mortal(getattr(os, name)))
-            store.save(new)
-
-        _, status = os.waitpid(in_child(save_until_dead), 0)
-        outcomes.append(store.load().record_id)
-        assert outcomes[-1] in (old.record_id, new.record_id)
-        store.save(numbered(4))
-        assert store.load().record_id == numbered(4).record_id
-        assert not list(store.path.parent.rglob("*tmp"))
-        expected = old if outcomes[-1] == old.record_id else new
-        assert store.revert().record_id == expected.record_id
-        if os.WEXITSTATUS(status) == 0:
-            break
-    assert outcomes[0] == old.record_id
-    assert outcomes[-1] == new.record_id
-    assert len(outcomes) > 15

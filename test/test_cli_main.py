@@ -45,11 +45,11 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for command in ("demo", "up", "call", "simulate", "calibrate", "diagnose", "allan", "study"):
+    for command in ("demo", "up", "call", "simulate", "calibrate", "diagnose", "compare", "allan", "study"):
         assert re.search(rf"\n    {command}\s", done.stdout)
 
 
-@pytest.mark.parametrize("command", ["demo", "up", "call", "simulate", "calibrate", "diagnose", "allan", "study"])
+@pytest.mark.parametrize("command", ["demo", "up", "call", "simulate", "calibrate", "diagnose", "compare", "allan", "study"])
 def test_every_command_has_help(command, capsys):
     assert run(command, "--help") == 0
     out = capsys.readouterr().out
@@ -147,7 +147,8 @@ def test_allan_of_a_text_file(tmp_path, capsys):
     path = tmp_path / "rate.csv"
     path.write_text("# t, rate\n" + "\n".join(f"{k / 20},{value:.9g}" for k, value in enumerate(rate)))
     document, plot = tmp_path / "allan.json", tmp_path / "allan.png"
-    options = ("--rate-hz", "20", "--unit", "deg/h", "--column", "1", "--json", document, "--plot", plot)
+    page = tmp_path / "allan.html"
+    options = ("--rate-hz", "20", "--unit", "deg/h", "--column", "1", "--json", document, "--plot", plot, "--html", page)
     assert run("allan", path, *options) == 0
     assert "angle random walk" in capsys.readouterr().out
     found = json.loads(document.read_text())
@@ -159,6 +160,7 @@ def test_allan_of_a_text_file(tmp_path, capsys):
     assert found["duration_s"] == 200.0
     assert len(found["curve"]["tau_s"]) == len(found["curve"]["edf"])
     assert plot.stat().st_size > 1000
+    assert page.read_text().count("<svg") == 2
 
 
 def test_allan_of_a_recording(recording, capsys):

@@ -7,139 +7,41 @@ forms are written here anew, from the catalogue's words: neither the kernels nor
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.signal import lfilter
+from effect_samples import (
+    DRIVE_HZ,
+    OPEN,
+    RATE,
+    TURN,
+    WARM_K,
+    ComplexArray,
+    Form,
+    Rows,
+    assert_form,
+    by_axis,
+    clipped,
+    compiled_only,
+    cubes,
+    isotropic,
+    measured,
+    plain_device,
+    slope,
+    slow,
+    split,
+)
 
-from gyro_calib.device import Device, Feedthrough, device_from_dict, device_to_dict, draw_unit, dump_device, load_device
-from gyro_calib.effects import EFFECTS, checked_sizes
-from gyro_calib.errors import DeviceError, ExperimentAborted
-from gyro_calib.experiments import Plan, SimulatedInstrument, Step, run_plan
-from gyro_calib.jit import COMPILED
-from gyro_calib.recording.applied_rate import words_of_steps
+from gyro_calib.device import Device
+from gyro_calib.effects import EFFECTS
 from gyro_calib.recording.command import Command, Excitation, Setpoints
-from gyro_calib.recording.rate import raw_rate
 from gyro_calib.simulation import GyroSimulator
-
-compiled_only = pytest.mark.skipif(not COMPILED, reason="numba is not installed or switched off")
-ComplexArray = NDArray[np.complex128]
-Form = Callable[["Rows"], ComplexArray]
-
-#: both axes driven off the middle of two modes 3 Hz apart, 5 Hz wide: envelopes of either phase on either axis
-DRIVE_HZ = 15004.9
-OPEN = Command("loops_off", Excitation("drive", DRIVE_HZ, 0.0, 2.0, "x"), compensation=(1.0, 0.0, 0.7, 0.0))
-ALONG = np.diag([1.0, -1.0])
-ACROSS = np.array([[0.0, 1.0], [1.0, 0.0]])
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-WARM_K, RATE = 8.0, -0.7
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Recorded envelopes with the linear flow of the device without effects."""
-
-    t: NDArray[np.float64]
-    p: ComplexArray
-    u: ComplexArray
-    volts: ComplexArray
-    rest: ComplexArray
-    A: ComplexArray
-    G: ComplexArray
-    size: Mapping[str, float]
-
-    def force(self, du: ComplexArray) -> ComplexArray:
-        """What a change of the drives adds."""
-        return du @ self.G.T
-
-    def reading(self, dv: ComplexArray) -> ComplexArray:
-        """What a change of the readings leaves over: it is not followed by the motion."""
-        return _slope(dv) - dv @ self.A.T
-
-
-def _slope(values: ComplexArray) -> ComplexArray:
-    return np.asarray(np.gradient(values, 1.0 / 500.0, axis=0))
-
-
-def _slow(values: ComplexArray, tau: float) -> ComplexArray:
-    """First-order low-pass of rows, from rest at the first."""
-    keep = math.exp(-1.0 / 500.0 / tau)
-    half = 0.5 * (1.0 - keep)
-    return np.asarray(lfilter([half, half], [1.0, -keep], values - values[0], axis=0) + values[0])
 
 
 @pytest.fixture(scope="module")
 def plain() -> Device:
-    """Two modes that any drive reaches, of low Q; gains of the axes equal, so that volts of x are those of y."""
-    ring = load_device("ring_15k")
-    return replace(
-        ring,
-        resonator=replace(ring.resonator, frequency_hz=15003.7, quality_factor=3000.0, frequency_split_hz=3.0, split_azimuth_rad=0.12),
-        drive=replace(ring.drive, gain_mismatch=0.0, two_delta_rad=0.0, two_lambda_rad=0.0, phase_x_rad=3e-3, phase_y_rad=-4e-3),
-        pickoff=replace(ring.pickoff, gain_mismatch=0.0, non_orthogonality_rad=0.0, phase_y_rad=1e-3),
-        electronics=replace(ring.electronics, dac_full_scale_v=20.0),
-    )
-
-
-def measured(
-    plain: Device,
-    effects: Mapping[str, Mapping[str, float]],
-    command: Command = OPEN,
-    *,
-    rise_k: float = 0.0,
-    rate: float = 0.0,
-    settle_s: float = 1.5,
-    length_s: float = 0.1,
-    fidelity: str = "carrier",
-) -> Rows:
-    device = replace(plain, effects=effects, environment=replace(plain.environment, temperature_degc=25.0 + rise_k))
-    simulator = GyroSimulator(device, rng=np.random.default_rng(0), fidelity=fidelity, noisy=False)
-    simulator.configure(command)
-    simulator.advance(settle_s, rate)
-    rows = simulator.advance(length_s, rate)
-    volts, u = (rows[:, k : k + 4 : 2] + 1j * rows[:, k + 1 : k + 4 : 2] for k in (2, 6))
-    omega = 2.0 * math.pi * rows[:, 10]
-    # about the frequency of the drive itself the linear steady state is exact
-    flow = plain.slow_flow(rate, 25.0 + rise_k, omega_rad_s=float(omega.mean()))
-    p = volts - u @ flow.E.T
-    rest = _slope(p) - p @ flow.A.T + 1j * (omega - omega.mean())[:, None] * p - u @ flow.G.T
-    size = next(iter(effects.values()), {})
-    keep = slice(5, -5)
-    return Rows(rows[keep, 0], p[keep], u[keep], volts[keep], rest[keep], flow.A, flow.G, size)
-
-
-def assert_form(rows: Rows, expected: ComplexArray, relative: float, before: ComplexArray | float = 0.0) -> None:
-    """The rest over its linear part is the form: size, sign and phase on both axes."""
-    scale = float(np.abs(expected).max())
-    assert scale > 1e-3
-    found = float(np.abs(rows.rest - before - expected)[1:-1].max()) / scale
-    assert found < relative, f"differs by {found:.3g} of the effect"
-
-
-def cubes(a: ComplexArray) -> ComplexArray:
-    return np.abs(a) ** 2 * a
-
-
-def isotropic(p: ComplexArray) -> ComplexArray:
-    return (2.0 * (np.abs(p) ** 2).sum(axis=1, keepdims=True) * p + (p**2).sum(axis=1, keepdims=True) * p.conj()) / 3.0
-
-
-def by_axis(rows: Rows, x: str, y: str) -> NDArray[np.float64]:
-    return np.array([rows.size[x], rows.size[y]])
-
-
-def split(rows: Rows, c: str, s: str) -> NDArray[np.float64]:
-    return rows.size[c] * ALONG + rows.size[s] * ACROSS
-
-
-def clipped(amplitude: NDArray[np.float64], level: float) -> NDArray[np.float64]:
-    """Fundamental of a clipped sine over the sine."""
-    share = np.minimum(level / amplitude, 1.0)
-    return np.asarray(2.0 / math.pi * (np.arcsin(share) + share * np.sqrt(1.0 - share**2)))
+    return plain_device()
 
 
 # ---------------------------------------------------------------- at once: dynamics, drive, pick-off
@@ -315,13 +217,13 @@ def test_resonator_follows_a_temperature_late(plain: Device) -> None:
 
 MODULATED = Command("ftr_x", Excitation("amplitude_modulation", 4.0, 0.3))
 MEMORY: dict[str, tuple[dict[str, float], Form]] = {
-    "relaxation": ({"c": 1.0, "tau": 0.05}, lambda r: 1j * (_slow(r.p, 0.05) - r.p)),
-    "drive_memory": ({"share": 0.05, "tau": 0.05}, lambda r: r.force(0.05 * _slow(r.u, 0.05))),
-    "drive_lag": ({"tau": 3e-4}, lambda r: r.force(-3e-4 * _slope(r.u))),
-    "pickoff_memory": ({"share": 3e-3, "tau": 0.05}, lambda r: r.reading(3e-3 * _slow(r.volts, 0.05))),
-    "pickoff_lag": ({"tau": 2e-4}, lambda r: r.reading(-2e-4 * _slope(r.volts))),
-    "channel_skew": ({"tau": 2e-4}, lambda r: r.reading(-2e-4 * _slope(r.volts) * np.array([0.0, 1.0]))),
-    "channel_skew early": ({"tau": -5e-5}, lambda r: r.reading(5e-5 * _slope(r.volts) * np.array([0.0, 1.0]))),
+    "relaxation": ({"c": 1.0, "tau": 0.05}, lambda r: 1j * (slow(r.p, 0.05) - r.p)),
+    "drive_memory": ({"share": 0.05, "tau": 0.05}, lambda r: r.force(0.05 * slow(r.u, 0.05))),
+    "drive_lag": ({"tau": 3e-4}, lambda r: r.force(-3e-4 * slope(r.u))),
+    "pickoff_memory": ({"share": 3e-3, "tau": 0.05}, lambda r: r.reading(3e-3 * slow(r.volts, 0.05))),
+    "pickoff_lag": ({"tau": 2e-4}, lambda r: r.reading(-2e-4 * slope(r.volts))),
+    "channel_skew": ({"tau": 2e-4}, lambda r: r.reading(-2e-4 * slope(r.volts) * np.array([0.0, 1.0]))),
+    "channel_skew early": ({"tau": -5e-5}, lambda r: r.reading(5e-5 * slope(r.volts) * np.array([0.0, 1.0]))),
 }
 
 
@@ -406,74 +308,7 @@ def test_gain_noise_grows_with_the_amplitude_and_is_in_phase_with_it(plain: Devi
     assert means.imag.std() < 0.05 * expected
 
 
-# ---------------------------------------------------------------- truth, chamber
-
-
-@compiled_only
-@pytest.mark.parametrize(
-    "name",
-    [
-        "cubic_cross_stiffness",
-        "nonlinear_damping_axes",
-        "spurious_mode",
-        "parametric_pump",
-        "pickoff_amplitude_phase",
-        "thermal_drive_phase",
-    ],
-)
-def test_truth_knows_what_effects_do_to_the_bias(name: str) -> None:
-    unit = draw_unit(load_device("ring_15k"), 3)
-    warm = replace(unit, environment=replace(unit.environment, temperature_degc=31.0))
-    found = []
-    for effects in ({}, {name: {key: 3.0 * size for key, size in EFFECTS[name].typical.items()}}):
-        simulator = GyroSimulator(replace(warm, effects=effects), rng=np.random.default_rng(0), noisy=False)
-        simulator.advance(3.0)
-        rate = raw_rate(simulator.advance(0.3), simulator.command, simulator.factory).mean()
-        found.append(rate)
-        assert rate == pytest.approx(simulator.truth().bias_rad_s, abs=3e-6)  # 0.6 deg/h
-    assert abs(found[1] - found[0]) > 1e-4
-
-
-@pytest.mark.parametrize("over_s", [0.0, 0.4])
-def test_chamber_moves_the_temperature_and_the_truth(plain: Device, over_s: float) -> None:
-    simulator = GyroSimulator(plain, rng=np.random.default_rng(0), fidelity="slow_flow", noisy=False)
-    simulator.advance(0.2)
-    before = simulator.truth().bias_rad_s
-    simulator.move_to_temperature(45.0, over_s)
-    rows = simulator.advance(1.0)
-    expected = 25.0 + 20.0 * np.clip(np.arange(500) / 500.0 / over_s, 0.0, 1.0) if over_s else np.full(500, 45.0)
-    np.testing.assert_allclose(rows[:, 11], expected, atol=1e-9)
-    assert rows[-1, 10] - 15003.7 == pytest.approx(-27e-6 * 20.0 * 15003.7, rel=0.3)
-    assert simulator.truth().bias_rad_s != before
-    for wrong in ((-300.0, 0.0), (30.0, -1.0)):
-        with pytest.raises(DeviceError, match="must be"):
-            simulator.move_to_temperature(*wrong)
-
-
-def test_plan_takes_the_gyro_through_a_chamber_and_over_a_table() -> None:
-    simulator = GyroSimulator(load_device("ring_15k"), rng=np.random.default_rng(0), fidelity="slow_flow")
-    table = words_of_steps([0.0, 0.5], [0.0, 0.2])
-    steps = (
-        Step("cold", Command(), 0.4, 0.5),
-        Step("warm", Command(), 0.4, 2.0, temperature_degc=35.0),
-        Step("still warm", Command(), 1.0, 0.5, applied_rate=table),
-    )
-    campaign = run_plan(SimulatedInstrument(simulator), Plan("chamber", steps))
-    cold, warm, still = campaign.recordings
-    assert np.ptp(warm.temperature_degc) < 0.05
-    assert warm.temperature_degc.mean() - cold.temperature_degc.mean() == pytest.approx(10.0, abs=0.05)
-    assert still.temperature_degc.mean() == pytest.approx(35.0, abs=0.05)
-    rates = raw_rate(still.data, still.command, dict(campaign.factory))
-    assert rates[-100:].mean() - rates[100:200].mean() == pytest.approx(0.2, rel=0.1)
-    with pytest.raises(ExperimentAborted, match="stand in a chamber"):
-        run_plan(_NoChamber(simulator), Plan("chamber", steps[:2]))
-
-
-class _NoChamber(SimulatedInstrument):
-    abilities = frozenset({"applied_rate"})
-
-
-# ---------------------------------------------------------------- registry, device files, refusals
+# ---------------------------------------------------------------- complete
 
 
 def test_every_effect_is_tested_here() -> None:
@@ -484,60 +319,3 @@ def test_every_effect_is_tested_here() -> None:
     }  # fmt: skip
     assert named | alone == set(EFFECTS)
     assert not named & alone
-
-
-def test_registry_is_consistent() -> None:
-    for name, effect in EFFECTS.items():
-        assert name == effect.name
-        assert set(effect.nearest) <= set(EFFECTS) - {name}
-        assert checked_sizes({name: effect.typical}) == {name: effect.typical}
-        assert len({p.name for p in effect.parameters}) == len(effect.parameters)
-        for p in effect.parameters:
-            assert p.typical < 0.51 * (p.upper - p.lower)
-
-
-def test_device_with_effects_survives_its_file(plain: Device, tmp_path: Any) -> None:
-    device = replace(plain, effects={name: effect.typical for name, effect in EFFECTS.items()})
-    dump_device(device, tmp_path / "unit.yaml")
-    assert load_device(tmp_path / "unit.yaml") == device
-    assert hash(device) != 0
-    assert draw_unit(device, 3).effects == device.effects
-    assert "effects" not in device_to_dict(plain)
-    document = {**device_to_dict(plain), "effects": {"duffing_axes": {"k_x": "1e-2"}}}
-    assert device_from_dict(document).effects == {"duffing_axes": {"k_x": 0.01, "k_y": 0.0}}
-
-
-@pytest.mark.parametrize(
-    ("effects", "message"),
-    [
-        ({"dufing": {"k": 1.0}}, "Effect must be one of duffing, .* but got 'dufing'"),
-        ({"duffing": {"kk": 1.0}}, "parameter must be one of k, but got 'kk'"),
-        ({"duffing": 3}, "duffing must be a mapping"),
-        ({"duffing": {"k": "much"}}, "duffing.k must be a number, but got 'much'"),
-        ({"duffing": {"k": float("nan")}}, "duffing.k must be finite"),
-        ({"duffing": {"k": 1e9}}, r"duffing.k must be within -20 and 20 rad/s/V\^2"),
-        ({"drive_lag": {"tau": -1.0}}, "drive_lag.tau must be within 0 and"),
-        ({"relaxation": {"c": 1.0}}, r"relaxation must have tau, but got \['c'\]"),
-        ([1], "effects must be a mapping of effects"),
-    ],
-)
-def test_wrong_effects_are_refused_by_name(plain: Device, effects: Any, message: str) -> None:
-    with pytest.raises(DeviceError, match=message):
-        replace(plain, effects=effects)
-
-
-@pytest.mark.parametrize("name", ["spurious_mode", "relaxation", "drive_lag", "pickoff_quantisation", "thermal_feedthrough"])
-def test_slow_flow_refuses_what_it_does_not_have(plain: Device, name: str) -> None:
-    device = replace(plain, effects={name: EFFECTS[name].typical, "duffing": {"k": 0.1}})
-    with pytest.raises(DeviceError, match=f"but got {name}. Simulate with fidelity carrier"):
-        GyroSimulator(device, rng=np.random.default_rng(0), fidelity="slow_flow")
-
-
-def test_effects_of_no_size_change_nothing(plain: Device) -> None:
-    """Through the effect kernels instead of the plain samples: the same physics, to rounding."""
-    device = replace(plain, feedthrough=Feedthrough(1e-3, 2e-3, 3e-4, 1e-4, -2e-4, 1e-4, 5e-4, 1e-3))
-    answers = []
-    for effects in ({}, {"drive_sag": {"d": 0.0}, "mains_pickup": {"frequency_hz": 50.0}}):
-        simulator = GyroSimulator(replace(device, effects=effects), rng=np.random.default_rng(2))
-        answers.append(simulator.advance(0.02, 0.1))
-    np.testing.assert_allclose(answers[1], answers[0], rtol=1e-9, atol=1e-12)

@@ -13,14 +13,26 @@ __all__ = ["float_map", "plain", "quantity", "quantity_map", "text"]
 
 
 def text(what: str, value: object) -> str:
-    """``value`` if it is a text with something in it and no control characters."""
+    """``value`` if it is a text with something in it and no control characters.
+
+    Raises
+    ------
+    DataError
+        It is not; the text names ``what``.
+    """
     if not isinstance(value, str) or not value.strip() or not value.isprintable():
         raise DataError(f"{what} must be a text of printable characters, but got {value!r}.")
     return value
 
 
 def quantity(what: str, value: object) -> Quantity:
-    """``value`` as a :class:`Quantity`; mappings ``{"value", "sd", "unit"}`` are converted, numpy scalars become floats."""
+    """``value`` as a :class:`Quantity`; mappings ``{"value", "sd", "unit"}`` are converted, numpy scalars become floats.
+
+    Raises
+    ------
+    DataError
+        It is neither; the text names ``what``.
+    """
     if isinstance(value, Quantity):
         return Quantity(float(value.value), float(value.sd), value.unit)
     if not isinstance(value, Mapping) or not {"value", "unit"} <= set(value):
@@ -31,14 +43,26 @@ def quantity(what: str, value: object) -> Quantity:
 
 
 def quantity_map(what: str, value: object) -> dict[str, Quantity]:
-    """Mapping of text to :class:`Quantity`."""
+    """Mapping of text to :class:`Quantity`.
+
+    Raises
+    ------
+    DataError
+        It is not; the text names ``what`` and the key.
+    """
     if not isinstance(value, Mapping):
         raise DataError(f"{what} must be a mapping of quantities, but got {value!r}.")
     return {text(f"Key of {what}", k): quantity(f"{what} {k}", v) for k, v in value.items()}
 
 
 def float_map(what: str, value: object) -> dict[str, float]:
-    """Mapping of text to float; ``None`` reads as NaN, infinities become NaN."""
+    """Mapping of text to float; ``None`` reads as NaN, infinities become NaN.
+
+    Raises
+    ------
+    DataError
+        It is not; the text names ``what`` and the key.
+    """
     if not isinstance(value, Mapping):
         raise DataError(f"{what} must be a mapping of numbers, but got {value!r}.")
     out = {}
@@ -51,7 +75,13 @@ def float_map(what: str, value: object) -> dict[str, float]:
 
 
 def plain(what: str, value: Any) -> Any:
-    """``value`` made of dict, list, text, bool, int, finite float and None only; numpy scalars and arrays are converted."""
+    """``value`` made of dict, list, text, bool, int, finite float and None only; numpy scalars and arrays are converted.
+
+    Raises
+    ------
+    DataError
+        It holds something else; the text names ``what``.
+    """
     if hasattr(value, "tolist"):  # numpy scalar or array, without importing numpy here
         value = value.tolist()
     if isinstance(value, float):

@@ -1,9 +1,11 @@
 """Identify the drive chain, compensate it, identify again, until what is left is noise (document 004, step 6), on any instrument.
 
-Round 1 identifies with the compensation that is in force. Each further round puts the matrix that undoes the chain of the round before in
-force and identifies anew; it ends when the residual is no larger than the noise of the two identifications. Between rounds, and however it
-ends, the gyro rests in its mission with the compensation that it had before: nothing is changed until the caller puts
-:attr:`Compensated.mission` in force.
+Round 1 identifies with the compensation that is in force, and the axes of the damping: with the matrix that is sought the amplitude drive
+gives back in every direction what the damping takes there, so that neither the drives' errors nor the uneven damping turn a free wave. (A
+wave that is driven round by virtual precession goes by that matrix too, and is uneven by half of the damping's relative anisotropy.) Each
+further round puts the matrix of the round before in force and identifies anew; it ends when the residual is no larger than the noise of
+the two identifications. Between rounds, and however it ends, the gyro rests in its mission with the compensation that it had before:
+nothing is changed until the caller puts :attr:`Compensated.mission` in force.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from scipy.special import chdtri
 from ..errors import CalibrationRefused
 from ..estimation import CalibrationResult, calibrate
 from ..estimation.compensation import IdentifiedChain
+from ..estimation.drive_chain import DriveChain
 from ..experiments import Instrument, Plan, Progress, compensation_in_force, run_plan
 from ..recording.command import Command
 from ..recording.recording import Campaign
@@ -155,7 +158,7 @@ def compensate(
     source = np.zeros((3, 3))
     campaign = Campaign(instrument.device_id, (), dict(instrument.factory))
     done: list[CompensationRound] = []
-    recorded_s = 0.0
+    recorded_s, aim = 0.0, None
     for number in range(1, max(rounds, 1) + 1):
         plan = (first if number == 1 else verify).with_compensation(in_force, final=before, suffix="" if number == 1 else f"_r{number}")
         # two rounds are the rule; the whole grows when there are more
@@ -165,6 +168,8 @@ def compensate(
         recorded_s += plan.duration_s
         own = _of_round(campaign, made)
         found = estimate(own)
+        if number > 1:
+            found = _aimed(found, aim)
         campaign = replace(made, recordings=(*campaign.recordings, *made.recordings))
         done.append(_round(number, in_force, found, source))
         on_round(done[-1])
@@ -172,15 +177,21 @@ def compensate(
             break
         if number < rounds:
             in_force, source = done[-1].identified.compensation(), done[-1].identified.covariance
+            # what the matrix was made for is settled with it: what is left over is the drives' alone
+            aim = done[-1].identified.aim
     _check(done)
     on_settled(campaign)
-    result = found if len(own) == len(campaign) else estimate(campaign)
+    result = found if len(own) == len(campaign) else _aimed(estimate(campaign), aim)
     if not done[-1].settled:
         result = replace(
             result,
             warnings=(*result.warnings, f"the residual of the compensation stays above its noise after {len(done)} rounds: {done[-1]}"),
         )
     return Compensated(campaign, result, tuple(done), replace(first.final, compensation=in_force))
+
+
+def _aimed(found: CalibrationResult, aim: DriveChain | None) -> CalibrationResult:
+    return found if found.drive_chain is None or aim is None else replace(found, drive_chain=found.drive_chain.aimed_at(aim))
 
 
 def _of_round(before: Campaign, made: Campaign) -> Campaign:

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from ..errors import DataError, StoreError
+from ..plain_yaml import load_yaml
 from .record import SCHEMA_VERSION, CalibrationRecord, canonical_json
 
 __all__ = ["FORMAT", "MAX_DOCUMENT_CHARS", "dump_content", "dump_record", "parse_content", "parse_record"]
@@ -24,17 +25,6 @@ _HEADER = """\
 # Calibration record of gyro_calib: rate = (rate_raw - bias) / scale_factor, in the units given with each value.
 # Do not edit: the checksum covers the content and an edited record is refused. Calibrate again, or revert to a previous version.
 """
-# what PyYAML raises on text that is not YAML, or is YAML of values that cannot be built (!!int x, 2024-99-99)
-_NOT_YAML = (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-
-
-class _Loader(yaml.SafeLoader):
-    """Safe loader that refuses aliases: a few lines of them expand to gigabytes."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases are not allowed")
-        return super().compose_node(parent, index)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -121,10 +111,9 @@ def _mapping(text: str, source: str) -> dict[str, Any]:
     if not text.strip("\x00 \t\r\n"):
         raise StoreError(f"{source} must hold a record, but got an empty text. It is torn: use the previous version or calibrate again.")
     try:
-        document = yaml.load(text, Loader=_Loader)
-    except _NOT_YAML as error:
-        reason = " ".join(str(error).split())[:200]
-        raise StoreError(f"{source} must be YAML, but got a text that is not ({reason}). It is torn or foreign.") from error
+        document = load_yaml(text)
+    except ValueError as error:
+        raise StoreError(f"{source} must be YAML, but got a text that is not ({error}). It is torn or foreign.") from error
     if not isinstance(document, dict):
         raise StoreError(f"{source} must be a YAML mapping, but got {type(document).__name__}. It is torn or foreign.")
     return document

@@ -112,7 +112,9 @@ class RateErrorModel:
     noise_density: float
 
     @classmethod
-    def from_record(cls, record: CalibrationRecord, *, bias_drift_sd_rad_s: float = 0.0, sd_factor: float = 1.0) -> RateErrorModel:
+    def from_record(
+        cls, record: CalibrationRecord, *, bias_drift_sd_rad_s: float = 0.0, scale_factor_drift_sd: float = 0.0, sd_factor: float = 1.0
+    ) -> RateErrorModel:
         """Take it from a record.
 
         Parameters
@@ -121,6 +123,8 @@ class RateErrorModel:
             What was found.
         bias_drift_sd_rad_s : float
             How far the bias moves between calibration and use, 1 sigma [rad/s]; no calibration knows that, its user may.
+        scale_factor_drift_sd : float
+            The same of the scale factor [1].
         sd_factor : float
             Factor on the sd of bias and scale factor, for a record outside its validity.
         """
@@ -128,14 +132,24 @@ class RateErrorModel:
             bias_rad_s=record.bias.value,
             bias_sd_rad_s=math.hypot(sd_factor * record.bias.sd, bias_drift_sd_rad_s),
             scale_factor=record.scale_factor.value,
-            scale_factor_sd=sd_factor * record.scale_factor.sd,
+            scale_factor_sd=math.hypot(sd_factor * record.scale_factor.sd, scale_factor_drift_sd),
             covariance_rad_s=sd_factor**2 * record.bias_scale_covariance,
             noise_density=record.rate_noise_density.value,
         )
 
     @classmethod
     def uncalibrated(cls, bias_sd_rad_s: float, scale_factor_sd: float, noise_density: float) -> RateErrorModel:
-        """A gyro as it left the factory: bias 0 and scale factor 1, with what its data sheet says of them."""
+        """A gyro as it left the factory: bias 0 and scale factor 1, with what its data sheet says of them.
+
+        Parameters
+        ----------
+        bias_sd_rad_s : float
+            Standard deviation of the bias [rad/s].
+        scale_factor_sd : float
+            Of the scale factor [1].
+        noise_density : float
+            White noise, one-sided [rad/s/sqrt(Hz)].
+        """
         return cls(0.0, bias_sd_rad_s, 1.0, scale_factor_sd, 0.0, noise_density)
 
     def variance_coefficients(self, model: CovarianceModel) -> tuple[float, float, float]:

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import DataError
-from ..estimation.factory import FactoryResult
 from ..quantity import Quantity
-from ..recording.recording import Campaign
 from ._plain import plain, quantity, text
+
+if TYPE_CHECKING:
+    from ..estimation.factory import FactoryResult
+    from ..recording.recording import Campaign
 
 __all__ = ["FACTORY_FORMAT", "FACTORY_SCHEMA", "FactoryRecord", "factory_record_from_result", "with_factory_record"]
 
@@ -116,7 +118,19 @@ class FactoryRecord:
 def factory_record_from_result(
     result: FactoryResult, campaign: Campaign, *, known_rate: Quantity | None = None, created: datetime | None = None
 ) -> FactoryRecord:
-    """The record of a factory estimate."""
+    """The record of a factory estimate.
+
+    Parameters
+    ----------
+    result : FactoryResult
+        The estimate.
+    campaign : Campaign
+        What it comes from, for the provenance.
+    known_rate : Quantity, optional
+        Constant rate that was known while the table stood [rad/s], for the provenance.
+    created : datetime, optional
+        Time of creation; default now.
+    """
     from .. import __version__
 
     return FactoryRecord(

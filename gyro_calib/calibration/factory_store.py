@@ -72,7 +72,7 @@ class FactoryStore:
         return record
 
     def save(self, record: FactoryRecord, *, replace_existing: bool = False) -> Path:
-        """Store a record; the one before it, if it may be replaced, is kept as ``<file>.before``.
+        """Store ``record``; the one before it, if ``replace_existing``, is kept as ``<file>.before``.
 
         Raises
         ------

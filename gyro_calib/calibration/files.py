@@ -14,8 +14,10 @@ from pathlib import Path
 
 from ..errors import StoreError
 
-__all__ = ["clean_temporaries", "locked_directory", "make_directory", "replace_text", "sync_directory", "take_copy"]
+__all__ = ["TEMPORARY_SUFFIX", "clean_temporaries", "locked_directory", "make_directory", "replace_text", "sync_directory", "take_copy"]
 
+#: last part of every temporary name
+TEMPORARY_SUFFIX = ".gyro-calib-tmp"
 #: errors of ``link`` that say "not on this file system" rather than "it failed"
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV, errno.EINVAL}
 
@@ -101,13 +103,13 @@ def take_copy(source: Path, target: Path) -> None:
 
 def clean_temporaries(directory: Path) -> None:
     """Remove what a killed writer left. Call it with the lock held: then no writer is alive, and every temporary is stale."""
-    for stale in directory.glob(".*.gyro-calib-tmp"):
+    for stale in directory.glob(f".*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError):
             stale.unlink()
 
 
 def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.gyro-calib-tmp")
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}{TEMPORARY_SUFFIX}")
 
 
 def _write_durably(path: Path, data: bytes) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .console import print_table, print_warnings, progress_bar, say, write_json
+from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,8 +29,6 @@ _UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "deg/h": math.pi / 180.0 / 360
 
 #: a recording whose temperature moves more shows the temperature, not the noise [K]
 _STEADY_K = 1.0
-#: chi-square per degree of freedom above which the coefficients mean little
-_MISFIT = 4.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--label", metavar="NAME", help="which recording of the file")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write coefficients and curve; - for stdout")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curve (.png, .svg, .pdf)")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with pictures")
     parser.add_argument("--min-tau", type=float, metavar="S", help="shortest averaging time of the fit [s] (default: found)")
     parser.add_argument("--rate-hz", type=float, metavar="HZ", help="text file: samples per second")
     parser.add_argument("--unit", choices=sorted(_UNITS), default="rad/s", help="text file: unit")
@@ -60,33 +59,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, analyse, report."""
-    from ..estimation.allan import analyse_allan
-    from ..report.noise_figures import allan_table, draw_allan
-    from ..report.theme import PAPER, require_plot_suffix, save_figure
+    with spinner("loading"):
+        from ..estimation.allan import analyse_allan
+        from ..report.allan_page import MISFIT
+        from ..report.noise_figures import allan_table, draw_allan
+        from ..report.theme import PAPER, require_matplotlib, require_plot_suffix, save_figure
 
     if arguments.plot is not None:
         require_plot_suffix(arguments.plot)
+    if arguments.html is not None:
+        require_matplotlib()
     record = _read(arguments)
-    analysis = analyse_allan(record.rate_rad_s, record.sample_rate_hz, min_tau_s=arguments.min_tau)
+    with spinner("analysing"):
+        analysis = analyse_allan(record.rate_rad_s, record.sample_rate_hz, min_tau_s=arguments.min_tau)
     to_stdout = arguments.json is not None and str(arguments.json) == "-"
     if not to_stdout:
         say(f"{record.device_id} {record.label}".strip())
         print_table(allan_table(analysis))
-    if analysis.chi_square_per_dof > _MISFIT:
+    if analysis.chi_square_per_dof > MISFIT:
         misfit = f"{analysis.chi_square_per_dof:.1f} times the noise"
         print_warnings([f"the noise model misses the curve by {misfit}: do not trust the coefficients, look at the curve (--plot)"])
     if arguments.json is not None:
         write_json(arguments.json, _document(record, analysis))
     if arguments.plot is not None:
-        save_figure(draw_allan(analysis, PAPER).figure, arguments.plot)
+        with spinner("drawing"):
+            save_figure(draw_allan(analysis, PAPER).figure, arguments.plot)
         if not to_stdout:
             say(f"plot: {arguments.plot}")
+    if arguments.html is not None:
+        with spinner("drawing the report"):
+            _write_page(arguments.html, record, analysis)
+        if not to_stdout:
+            say(f"report: {arguments.html}")
     return 0
+
+
+def _write_page(path: Path, record: RateRecord, analysis: AllanAnalysis) -> None:
+    from ..paths import package_version
+    from ..report.allan_page import allan_page
+    from ..report.page import write_page
+
+    title = f"Noise of {record.device_id or record.label}"
+    subtitle = f"Recording {record.label}, {analysis.duration_s:.0f} s at {record.sample_rate_hz:g} Hz, nothing turned."
+    write_page(path, allan_page(analysis, record.rate_rad_s, title, subtitle, f"gyro_calib {package_version()}"))
 
 
 def _read(arguments: argparse.Namespace) -> RateRecord:
     if arguments.recording.suffix.lower() in _TEXT_SUFFIXES:
-        return _read_text(arguments)
+        with spinner("reading"):
+            return _read_text(arguments)
     return _read_recording(arguments)
 
 

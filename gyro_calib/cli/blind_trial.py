@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import non_negative_int, positive_int, print_table, print_warnings, progress_bar, say, write_json
+from .console import non_negative_int, positive_int, print_table, print_warnings, progress_bar, say, spinner, write_json
 
 if TYPE_CHECKING:
     from ..report.table import Table
@@ -30,11 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the trials; exit code 1 when a gate does not hold."""
-    # one thread each: the processes are the parallelism
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
-    from ..report.theme import require_plot_suffix, save_figure
-    from ..trial.run import SIZING, TrialLog, run_blind_trials
+    with spinner("loading"):
+        from ..report.theme import require_plot_suffix, save_figure
+        from ..trial.run import SIZING, TrialLog, run_blind_trials
 
     if arguments.plot is not None:
         require_plot_suffix(arguments.plot)
@@ -60,7 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plot is not None:
         from ..report.trial_figures import draw_trials
 
-        save_figure(draw_trials(result), arguments.plot)
+        with spinner("drawing"):
+            save_figure(draw_trials(result), arguments.plot)
         if not to_stdout:
             say(f"plot: {arguments.plot}")
     return 0 if result.passed else 1

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .console import print_table, print_warnings, progress_bar, say, write_json
+from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
 
 if TYPE_CHECKING:
     from ..estimation import CalibrationResult
@@ -48,10 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, estimate, report."""
-    from ..estimation import calibrate
-    from ..recording.load import load_campaign
-    from ..report.calibration_page import result_table
-    from ..report.theme import require_matplotlib
+    with spinner("loading"):
+        from ..estimation import calibrate
+        from ..recording.load import load_campaign
+        from ..report.calibration_page import result_table
+        from ..report.theme import require_matplotlib
 
     if arguments.html is not None:
         require_matplotlib()
@@ -134,6 +135,7 @@ def _write_page(arguments: argparse.Namespace, campaign: Campaign, result: Calib
         footer=f"gyro_calib {package_version()}",
         device_s=lasted,
     )
-    write_page(arguments.html, calibration_page(result, campaign, facts))
+    with spinner("drawing the report"):
+        write_page(arguments.html, calibration_page(result, campaign, facts))
     if arguments.json is None or str(arguments.json) != "-":
         say(f"report: {arguments.html}")

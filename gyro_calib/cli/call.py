@@ -10,7 +10,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from .console import print_table, progress_bar, say
+from .console import print_table, progress_bar, say, spinner
 
 if TYPE_CHECKING:
     from .ros_client import RosClient
@@ -34,7 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
             return _switch(client, arguments.service == "enable")
         if arguments.service == "self_test":
             return _self_test(client)
-        accepted = client.start_run(arguments.service)
+        with spinner(f"calling {arguments.service}"):
+            accepted = client.start_run(arguments.service)
         if arguments.no_wait or arguments.service in _AT_ONCE:
             say(accepted)
             return 0
@@ -57,7 +58,8 @@ def _switch(client: RosClient, on: bool) -> int:
     """The corrector on or off."""
     from std_srvs.srv import SetBool
 
-    response = client.call(SetBool, "imu_corrector/enable", SetBool.Request(data=on))
+    with spinner("calling the corrector"):
+        response = client.call(SetBool, "imu_corrector/enable", SetBool.Request(data=on))
     print(response.message, file=sys.stdout if response.success else sys.stderr)
     return 0 if response.success else 1
 
@@ -68,7 +70,8 @@ def _self_test(client: RosClient) -> int:
 
     from ..report.table import Table
 
-    response = client.call(SelfTest, "gyro_calibration/self_test")
+    with spinner("self-test"):
+        response = client.call(SelfTest, "gyro_calibration/self_test")
     passed = response.passed == b"\x01"
     words = {b"\x00": "ok", b"\x01": "warning", b"\x02": "error", b"\x03": "stale"}
     rows = tuple((status.name, words.get(status.level, "?"), status.message) for status in response.status)

@@ -22,6 +22,7 @@ __all__ = [
     "progress_bar",
     "progress_lines",
     "say",
+    "spinner",
     "write_json",
 ]
 
@@ -82,6 +83,15 @@ def progress_bar(title: str, *, lines: bool = False) -> Iterator[Callable[[float
 @contextmanager
 def progress_lines(title: str) -> Iterator[None]:
     """A spinner on stderr for what has no measure; one line without a terminal."""
+    if not sys.stderr.isatty():
+        print(title, file=sys.stderr, flush=True)
+    with spinner(title):
+        yield
+
+
+@contextmanager
+def spinner(title: str) -> Iterator[None]:
+    """A spinner on stderr for what has no measure and is short where the data are few; without a terminal nothing."""
     from rich.console import Console
 
     console = Console(stderr=True)
@@ -89,7 +99,6 @@ def progress_lines(title: str) -> Iterator[None]:
         with console.status(title):
             yield
     else:
-        print(title, file=sys.stderr, flush=True)
         yield
 
 

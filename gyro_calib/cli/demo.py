@@ -10,7 +10,7 @@ import argparse
 import time
 from pathlib import Path
 
-from .console import non_negative_int, print_table, print_warnings, say, write_json
+from .console import non_negative_int, print_table, print_warnings, say, spinner, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,10 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
-    from ..report.comparison import comparison_table
-    from ..report.theme import require_matplotlib
-    from .demo_report import demo_document, write_report
-    from .demo_session import DemoSettings, play
+    with spinner("loading"):
+        from ..report.comparison import comparison_table
+        from ..report.theme import require_matplotlib
+        from .demo_report import demo_document, write_report
+        from .demo_session import DemoSettings, play
 
     require_matplotlib()
     began = time.monotonic()

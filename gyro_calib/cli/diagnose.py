@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import print_table, print_warnings, progress_bar, say, write_json
+from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
 
 if TYPE_CHECKING:
     from ..device import Device
@@ -35,11 +34,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, diagnose, report."""
     if arguments.patched_device is not None and arguments.device is None:
         return _usage("--patched-device needs --device: the description whose linear part and effects are replaced")
-    # many small matrices: threads of the linear algebra cost more than they give, ten times so on a busy machine
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from ..gap import diagnose
-    from ..recording.load import load_campaign
-    from ..report.theme import require_matplotlib
+    with spinner("loading"):
+        from ..gap import diagnose
+        from ..recording.load import load_campaign
+        from ..report.theme import require_matplotlib
 
     device = _device(arguments.device)
     if arguments.html is not None:
@@ -58,7 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.html is not None:
         from ..report.gap_page import write_gap_page
 
-        write_gap_page(arguments.html, diagnosis)
+        with spinner("drawing the report"):
+            write_gap_page(arguments.html, diagnosis)
         if shown:
             say(f"report: {arguments.html}")
     if arguments.patched_device is not None and device is not None:

@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import print_table, print_warnings, progress_bar, say, write_json
+from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
 
 if TYPE_CHECKING:
     from ..estimation.factory import FactoryResult
@@ -35,11 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, estimate, report, store."""
-    from ..calibration import FactoryStore, factory_record_from_result
-    from ..estimation.factory import calibrate_factory
-    from ..quantity import Quantity
-    from ..recording.load import load_campaign
-    from ..units import DEG_H
+    with spinner("loading"):
+        from ..calibration import FactoryStore, factory_record_from_result
+        from ..estimation.factory import calibrate_factory
+        from ..quantity import Quantity
+        from ..recording.load import load_campaign
+        from ..units import DEG_H
 
     known = None
     if arguments.known_rate is not None:

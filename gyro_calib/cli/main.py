@@ -11,7 +11,8 @@ import sys
 from collections.abc import Sequence
 
 from ..errors import GyroCalibError
-from . import allan, blind_trial, calibrate, call, demo, diagnose, factory, pickoff, simulate, study, up
+from ..threads import one_thread
+from . import allan, blind_trial, calibrate, call, compare, demo, diagnose, factory, pickoff, simulate, study, up
 
 __all__ = ["build_parser", "main"]
 
@@ -23,6 +24,7 @@ _COMMANDS = {
     "simulate": simulate,
     "calibrate": calibrate,
     "diagnose": diagnose,
+    "compare": compare,
     "factory": factory,
     "pickoff": pickoff,
     "allan": allan,
@@ -49,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = build_parser().parse_args(argv)
     except SystemExit as stop:  # argparse has already printed help or what is wrong
         return int(stop.code or 0)
+    one_thread()
     try:
         return int(arguments.run(arguments))
     except GyroCalibError as error:

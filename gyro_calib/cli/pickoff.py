@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .console import print_table, print_warnings, progress_bar, write_json
+from .console import print_table, print_warnings, progress_bar, spinner, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,13 +19,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, estimate, report."""
-    from ..estimation.trusov_shkel import estimate_trusov_shkel
-    from ..recording.load import load_campaign
-    from ..report.table import Table, quantity_cells
+    with spinner("loading"):
+        from ..estimation.trusov_shkel import estimate_trusov_shkel
+        from ..recording.load import load_campaign
+        from ..report.table import Table, quantity_cells
 
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, on_progress=report)
-    result = estimate_trusov_shkel(campaign)
+    with spinner("estimating"):
+        result = estimate_trusov_shkel(campaign)
     rows: list[tuple[str, ...]] = [("relative pick-off magnitude, y over x", *quantity_cells(result.pickoff_ratio))]
     for axis, gap in result.axes.items():
         rows.append((f"gap, {axis} pick-off", *quantity_cells(gap.gap_v)))

@@ -59,8 +59,8 @@ class NodeGroup:
         self._on_line = on_line
         self._children: list[_Child] = []
 
-    def start(self, name: str, module: str, arguments: Sequence[str]) -> None:
-        """Start a node in a process of its own."""
+    def start(self, name: str, module: str, arguments: Sequence[str]) -> int:
+        """Start a node in a process of its own; returns its process id."""
         command = [sys.executable, "-m", "gyro_calib.cli.child", module, *arguments]
         # a session of its own: Ctrl-C in the terminal reaches this process alone, which then ends them once, in order
         process = subprocess.Popen(
@@ -76,6 +76,7 @@ class NodeGroup:
         reader = threading.Thread(target=self._forward, args=(name, process.stdout), daemon=True)
         reader.start()
         self._children.append(_Child(name, process, reader))
+        return process.pid
 
     def ended(self) -> tuple[str, int] | None:
         """Name and exit code of a node that has ended, or None while all run."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .console import non_negative_int, print_table, progress_bar, say
+from .console import non_negative_int, print_table, progress_bar, say, spinner
 
 if TYPE_CHECKING:
     from ..device import Device
@@ -63,14 +63,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate and write ``<device>_<plan>.h5`` or a bag of that name."""
-    import numpy as np
+    with spinner("loading"):
+        import numpy as np
 
-    from ..errors import DataError
-    from ..experiments import SimulatedInstrument, plan_by_name, run_plan
-    from ..recording.bag_writer import write_campaign_bag
-    from ..recording.hdf5 import write_campaign_h5
-    from ..simulation import GyroSimulator
-    from ..units import DEG_H
+        from ..errors import DataError
+        from ..experiments import SimulatedInstrument, plan_by_name, run_plan
+        from ..recording.bag_writer import write_campaign_bag
+        from ..recording.hdf5 import write_campaign_h5
+        from ..simulation import GyroSimulator
+        from ..units import DEG_H
 
     device = _device(arguments)
     plan = _plan(arguments, device)
@@ -91,10 +92,11 @@ def run(arguments: argparse.Namespace) -> int:
             )
         else:
             campaign = run_plan(instrument, plan, on_progress=lambda p: report(p.fraction, p.step_label))
-    if arguments.format == "h5":
-        write_campaign_h5(target, campaign)
-    else:
-        write_campaign_bag(target, campaign)
+    with spinner("writing"):
+        if arguments.format == "h5":
+            write_campaign_h5(target, campaign)
+        else:
+            write_campaign_bag(target, campaign)
     say(f"{target}: {len(campaign)} recordings of {device.device_id}, {campaign.recordings[-1].t[-1]:.0f} s")
     return 0
 

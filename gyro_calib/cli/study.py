@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .console import positive_int, print_table, print_warnings, progress_bar, say, write_json
+from .console import positive_int, print_table, print_warnings, progress_bar, say, spinner, write_json
 
 if TYPE_CHECKING:
     from ..report.table import Table
@@ -27,8 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a study; exit code 1 when a gate does not hold."""
-    from ..report.theme import require_plot_suffix, save_figure
-    from ..study import find_study, list_studies, run_study
+    with spinner("loading"):
+        from ..report.theme import require_plot_suffix, save_figure
+        from ..study import find_study, list_studies, run_study
 
     if arguments.list:
         for known in list_studies():
@@ -37,9 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
     study = find_study(arguments.name)
     if arguments.plot is not None:
         require_plot_suffix(arguments.plot)
-    # one thread each: the processes are the parallelism
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
     seeds = range(arguments.seeds or study.default_seeds)
     with progress_bar(study.name) as report:
         result = run_study(study, seeds, jobs=arguments.jobs, on_done=lambda done, total: report(done / total, f"{done} of {total} seeds"))
@@ -50,7 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_json(arguments.json, result.to_json())
     if arguments.plot is not None:
-        save_figure(study_drawing(result).figure, arguments.plot)
+        with spinner("drawing"):
+            save_figure(study_drawing(result).figure, arguments.plot)
         if not to_stdout:
             say(f"plot: {arguments.plot}")
     return 0 if result.passed else 1

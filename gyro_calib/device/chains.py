@@ -124,7 +124,13 @@ class PickoffChain:
 
 @dataclass(frozen=True)
 class Feedthrough:
-    """Direct coupling of drive into pick-off, ``V = P z + E v``: E complex, dimensionless, each element real (re) and 90-degree (im)."""
+    """Direct coupling of drive into pick-off, ``V = P z + E v``: E complex, dimensionless, each element real (re) and 90-degree (im).
+
+    Parameters
+    ----------
+    xx_re, xx_im, xy_re, xy_im, yx_re, yx_im, yy_re, yy_im : float
+        Of the x pick-off from the x drive, of the x pick-off from the y drive, and so on [1].
+    """
 
     xx_re: float = 0.0
     xx_im: float = 0.0

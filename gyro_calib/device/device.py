@@ -80,7 +80,7 @@ class FactoryData:
             raise DeviceError(f"FactoryData mission_mode must be one of {', '.join(MISSION_MODES)}, but got {self.mission_mode!r}.")
 
     def nominal_scale_factor(self, axis: str, amplitude_v: float) -> float:
-        """Rebalance volts per rad/s that the firmware assumes with ``axis`` as the oscillator at an amplitude [V/(rad/s)]."""
+        """Rebalance volts per rad/s that the firmware assumes with ``axis`` as the oscillator at ``amplitude_v`` [V/(rad/s)]."""
         nominal = self.nominal_scale_factor_x_v_per_rad_s if axis == "x" else self.nominal_scale_factor_y_v_per_rad_s
         return nominal * amplitude_v / self.nominal_amplitude_v
 
@@ -168,7 +168,7 @@ class Device:
         return self.pickoff.gain_v_per_m / self.factory_data.nominal_amplitude_v
 
     def slow_flow(self, rate_rad_s: float = 0.0, temperature_degc: float | None = None, omega_rad_s: float | None = None) -> SlowFlow:
-        """A, G, E of theory.md Eq. 4 at an input rate and temperature, about ``omega_rad_s`` (default: the natural frequency).
+        """A, G, E of theory.md Eq. 4 at ``rate_rad_s`` and ``temperature_degc``, about ``omega_rad_s`` (default: the natural frequency).
 
         With the actual reference frequency the steady state is exact; elsewhere it is the first order of averaging.
         The zero-order hold of the drive scales G by sinc(f T); its delay of half a sample is taken back by the firmware's phase advance.

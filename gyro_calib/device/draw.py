@@ -19,6 +19,25 @@ class Spread:
     """Standard deviations (or half-widths where said) of what differs from unit to unit.
 
     Engineering estimates for a silicon ring; angles in rad, mismatches relative.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Resonance [Hz].
+    quality_factor : float
+        Relative.
+    split_low_hz, split_high_hz : float
+        Ends of the range of the frequency split [Hz].
+    damping_anisotropy : float
+        Relative difference of the two decay rates.
+    gain, gain_mismatch : float
+        Of drives and pick-offs, relative; of one axis against the other.
+    misalignment_rad, pickoff_non_orthogonality_rad, phase_rad, coupling_phase_rad : float
+        Angles of drives and pick-offs; electrical phases of the channels and of what couples across [rad].
+    feedthrough : float
+        Each part of each element of E [1].
+    drive_gain_ratio : float
+        How far the factory's drive-gain ratio is off, relative.
     """
 
     frequency_hz: float = 20.0

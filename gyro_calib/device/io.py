@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
 import yaml
 
 from ..errors import DeviceError
 from ..paths import share_path
+from ..plain_yaml import load_yaml
 from .chains import DriveChain, Feedthrough, PickoffChain
 from .device import Device, FactoryData
 from .electronics import Electronics, Environment, Loops, Multiplexing, Noise
@@ -57,14 +61,14 @@ def load_device(source: str | Path) -> Device:
             raise DeviceError(f"Device must be a YAML file or one of {', '.join(known)}, but got {str(source)!r}.")
         path = packaged
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
+        document = load_yaml(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
         raise DeviceError(f"Device file {path.name} must be readable YAML, but got: {error}.") from error
     return device_from_dict(document)
 
 
 def dump_device(device: Device, path: str | Path, notes: Iterable[str] = ()) -> None:
-    """Write a device description that :func:`load_device` reads back equal, with notes as comments at its head.
+    """Write the description of ``device`` to ``path``, for :func:`load_device` to read back equal, with ``notes`` as comments at its head.
 
     Raises
     ------
@@ -73,10 +77,15 @@ def dump_device(device: Device, path: str | Path, notes: Iterable[str] = ()) -> 
     """
     head = "".join(f"# {line}\n" for note in notes for line in note.splitlines())
     target = Path(path)
+    # half a description may be one of another device: parts that are missing have defaults
+    partial = target.with_name(f".{target.name}.part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(head + yaml.safe_dump(device_to_dict(device), sort_keys=False), encoding="utf-8")
+        partial.write_text(head + yaml.safe_dump(device_to_dict(device), sort_keys=False), encoding="utf-8")
+        os.replace(partial, target)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()
         raise DeviceError(f"Device file must be writable, but got {error}. Choose another path.") from error
 
 
@@ -91,7 +100,13 @@ def device_to_dict(device: Device) -> dict[str, Any]:
 
 
 def device_from_dict(document: Any) -> Device:
-    """Inverse of :func:`device_to_dict`; parts other than the required ones default."""
+    """Inverse of :func:`device_to_dict`; parts other than the required ones default.
+
+    Raises
+    ------
+    DeviceError
+        A key is unknown or missing, another schema, or a value that no device has.
+    """
     if not isinstance(document, Mapping):
         raise DeviceError(f"Device document must be a mapping, but got {type(document).__name__}.")
     unknown = sorted(set(map(str, document)) - set(_PARTS) - {"schema", "device_id", "effects"})
@@ -101,7 +116,21 @@ def device_from_dict(document: Any) -> Device:
     if document.get("schema", SCHEMA) != SCHEMA:
         raise DeviceError(f"Device schema must be {SCHEMA}, but got {document['schema']!r}.")
     parts = {"factory_data" if key == "factory" else key: _build(_PARTS[key], key, document[key]) for key in _PARTS if key in document}
-    return Device(device_id=str(document["device_id"]), effects=document.get("effects") or {}, **parts)
+    device = Device(device_id=str(document["device_id"]), effects=document.get("effects") or {}, **parts)
+    _check_computable(device)
+    return device
+
+
+def _check_computable(device: Device) -> None:
+    """Each number may be possible, and all together beyond what can be computed."""
+    try:
+        with np.errstate(all="ignore"):
+            flow = device.slow_flow()
+            computable = all(np.isfinite(part).all() for part in (flow.A, flow.G, flow.E, flow.dA_dOmega))
+    except (ArithmeticError, np.linalg.LinAlgError):
+        computable = False
+    if not computable:
+        raise DeviceError(f"Device {device.device_id!r} must have a finite slow flow, but its numbers give none. Check their units.")
 
 
 def _build(kind: type[T], name: str, values: Any) -> T:

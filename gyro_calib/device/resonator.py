@@ -151,7 +151,15 @@ class Resonator:
         return 2.0 * BOLTZMANN_J_PER_K * kelvin * 2.0 * self.decay_rate(temperature_degc) / self.modal_mass_kg
 
     def thermomechanical_arw(self, amplitude_m: float, temperature_degc: float) -> float:
-        """Angle random walk floor, force to rebalance [rad/sqrt(s)]: (1/(kappa a)) sqrt(k_B T/(m omega Q)) (theory.md section 7)."""
+        """Angle random walk floor, force to rebalance [rad/sqrt(s)]: (1/(kappa a)) sqrt(k_B T/(m omega Q)) (theory.md section 7).
+
+        Parameters
+        ----------
+        amplitude_m : float
+            a [m].
+        temperature_degc : float
+            T [degC].
+        """
         kelvin = temperature_degc + ZERO_CELSIUS_K
         variance = BOLTZMANN_J_PER_K * kelvin / (self.modal_mass_kg * self.omega0_rad_s * self.quality_factor)
         return math.sqrt(variance) / (self.angular_gain * amplitude_m)

@@ -70,7 +70,13 @@ class DocumentEstimate:
     noise: Noise
 
     def parameter(self, name: str) -> Quantity:
-        """One parameter by its name."""
+        """One parameter by its name.
+
+        Raises
+        ------
+        KeyError
+            The model has none of that name.
+        """
         if name not in self.model.names:
             raise KeyError(f"Parameter must be one of {', '.join(self.model.names)}, but got {name!r}.")
         place = self.model.names.index(name)

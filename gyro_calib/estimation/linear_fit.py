@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from ..errors import CalibrationRefused
@@ -95,6 +96,8 @@ class Equation:
         How large the shift may be [rad/s]; infinite where the recording itself determines it.
     covariance : tuple of 2 ndarray, shape (m, m), or None
         Of the noise of real and of imaginary parts, where ``gram`` and their deviations do not say all of it.
+    shared : ndarray, shape (m, q), or None
+        What sources of unit variance that all recordings share (independent ones for real and imaginary parts) add to the noise.
     """
 
     lhs: ComplexArray
@@ -105,6 +108,7 @@ class Equation:
     detuning: ComplexArray | None = None
     detuning_sd: float | FloatArray = float("inf")
     covariance: tuple[FloatArray, FloatArray] | None = None
+    shared: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,10 @@ class LinearFit:
     explained : tuple of ndarray, complex
         Per recording, variance of what the fit took out of each equation's real part, and (as imaginary part) of its imaginary one: its
         residual has that much less than its noise.
+    shared : tuple of ndarray, complex
+        Per recording, what the sources that all share most probably add to its equations; empty without such sources.
+    shared_growth : float
+        Variance that these sources show over the one that was assumed (MacKay's fixed point of the evidence).
     """
 
     coefficients: ComplexArray
@@ -137,16 +145,45 @@ class LinearFit:
     residuals: tuple[ComplexArray, ...]
     detunings: tuple[FloatArray, ...] = ()
     explained: tuple[ComplexArray, ...] = ()
+    shared: tuple[ComplexArray, ...] = ()
+    shared_growth: float = 1.0
 
 
-def _whiteners(e: Equation) -> tuple[FloatArray, FloatArray]:
-    both = e.covariance or (e.gram * np.outer(e.sd_re, e.sd_re), e.gram * np.outer(e.sd_im, e.sd_im))
-    re, im = (np.asarray(np.linalg.inv(np.linalg.cholesky(c))) for c in both)
-    return re, im
+@dataclass(frozen=True)
+class _Whitener:
+    """Inverse Cholesky factors of the covariance of real (or imaginary) parts: of every recording, or of all together."""
+
+    blocks: list[FloatArray]
+
+    def __call__(self, rows: FloatArray) -> FloatArray:
+        ends = np.cumsum([len(b) for b in self.blocks])[:-1]
+        return np.concatenate([b @ part for b, part in zip(self.blocks, np.split(rows, ends), strict=True)])
+
+    @classmethod
+    def of(cls, equations: list[Equation], imaginary: bool, factor: FloatArray) -> _Whitener:
+        covariances = []
+        for e in equations:
+            sd = e.sd_im if imaginary else e.sd_re
+            covariances.append(e.gram * np.outer(sd, sd) if e.covariance is None else e.covariance[int(imaginary)])
+        if factor.shape[1] > 0:
+            covariances = [block_diag(*covariances) + factor @ factor.T]
+        return cls([np.asarray(np.linalg.inv(np.linalg.cholesky(c))) for c in covariances])
 
 
-def fit_axis(equations: list[Equation]) -> LinearFit:
+def _shared_factor(equations: list[Equation]) -> FloatArray:
+    """What unit sources that the recordings share add to all equations, shape (equations, q)."""
+    count = max((e.shared.shape[1] for e in equations if e.shared is not None), default=0)
+    return np.vstack([np.zeros((e.lhs.size, count)) if e.shared is None else e.shared for e in equations])
+
+
+def fit_axis(equations: list[Equation], prior_sd: FloatArray | None = None) -> LinearFit:
     """Solve all equations of one axis.
+
+    Parameters
+    ----------
+    equations : list of Equation
+    prior_sd : ndarray, shape (2k,), optional
+        How far the real unknowns (Re c_0, Im c_0, Re c_1, …) may be from zero; infinite: not known beforehand.
 
     Raises
     ------
@@ -157,7 +194,12 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
     own = [0 if e.detuning is None else e.detuning.shape[1] for e in equations]
     first = np.concatenate([[0], np.cumsum(own)])
     unknowns = 2 * count + int(first[-1])
-    designs, targets, plain = [], [], []
+    designs, targets = [], []
+    plain: tuple[list[FloatArray], list[FloatArray]] = ([], [])
+    if prior_sd is not None and np.isfinite(prior_sd).any():
+        known = np.isfinite(prior_sd)
+        designs.append(np.hstack([np.diag(1.0 / prior_sd), np.zeros((2 * count, unknowns - 2 * count))])[known])
+        targets.append(np.zeros(int(known.sum())))
     for i, e in enumerate(equations):
         re, im = e.regressors.real, e.regressors.imag
         shift_re, shift_im = np.zeros((e.lhs.size, int(first[-1]))), np.zeros((e.lhs.size, int(first[-1])))
@@ -175,11 +217,13 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
         bottom = np.empty_like(top)
         top[:, 0::2], top[:, 1::2] = re, -im
         bottom[:, 0::2], bottom[:, 1::2] = im, re
-        whiteners = _whiteners(e)
-        for part, shift, value, white in ((top, shift_re, e.lhs.real, whiteners[0]), (bottom, shift_im, e.lhs.imag, whiteners[1])):
-            plain.append(np.hstack([part, shift]))
-            designs.append(white @ plain[-1])
-            targets.append(white @ value)
+        plain[0].append(np.hstack([top, shift_re]))
+        plain[1].append(np.hstack([bottom, shift_im]))
+    lhs, factor = np.concatenate([e.lhs for e in equations]), _shared_factor(equations)
+    whiteners = [_Whitener.of(equations, imaginary, factor) for imaginary in (False, True)]
+    for white, part, value in zip(whiteners, plain, (lhs.real, lhs.imag), strict=True):
+        designs.append(white(np.vstack(part)))
+        targets.append(white(value))
     design, target = np.vstack(designs), np.concatenate(targets)
     used = np.linalg.norm(design, axis=0)
     if design.shape[0] < unknowns or np.any(used == 0.0):
@@ -196,7 +240,8 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
     residual = target - design @ solution
     coefficients = solution[0 : 2 * count : 2] + 1j * solution[1 : 2 * count : 2]
     both = np.column_stack([solution, np.sqrt(np.diag(covariance))])
-    taken = [np.einsum("jk,kl,jl->j", d, covariance, d) for d in plain]
+    taken = [[np.einsum("jk,kl,jl->j", d, covariance, d) for d in part] for part in plain]
+    shared, growth = _shared(equations, factor, whiteners, residual, u)
     raw = []
     for i, e in enumerate(equations):
         left = e.lhs - e.regressors @ coefficients
@@ -210,6 +255,30 @@ def fit_axis(equations: list[Equation]) -> LinearFit:
         dof=design.shape[0] - unknowns,
         condition_number=float(s[0] / s[-1]),
         residuals=tuple(raw),
-        explained=tuple(re + 1j * im for re, im in zip(taken[0::2], taken[1::2], strict=True)),
+        explained=tuple(re + 1j * im for re, im in zip(*taken, strict=True)),
+        shared=shared,
+        shared_growth=growth,
         detunings=tuple(both[2 * count + int(a) : 2 * count + int(a) + k] for a, k in zip(first, own, strict=False)),
     )
+
+
+def _shared(
+    equations: list[Equation], factor: FloatArray, whiteners: list[_Whitener], residual: FloatArray, basis: FloatArray
+) -> tuple[tuple[ComplexArray, ...], float]:
+    """What shared sources most probably add to each recording, and the variance that they show over one.
+
+    ``residual`` and ``basis`` (an orthonormal basis of the design's range) are of the whitened equations, which come last in it.
+    """
+    count = factor.shape[0]
+    if factor.shape[1] == 0:
+        return (), 1.0
+    added, squares, told = [], 0.0, 0.0
+    for k, white in enumerate(whiteners):
+        place = slice(residual.size - (2 - k) * count, residual.size - (1 - k) * count)
+        seen = white(factor)
+        sources = seen.T @ residual[place]
+        added.append(factor @ sources)
+        squares += float(sources @ sources)
+        told += float(np.sum(seen**2) - np.sum((basis[place].T @ seen) ** 2))
+    ends = np.cumsum([e.lhs.size for e in equations])[:-1]
+    return tuple(np.split(added[0] + 1j * added[1], ends)), squares / max(told, 1e-300)

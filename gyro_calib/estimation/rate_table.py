@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from ..errors import CalibrationRefused
 from ..recording.applied_rate import applied_rate, table_axis
@@ -103,7 +103,7 @@ def fit_rate_table(recordings: list[Recording], decay_rate: float) -> RateTableF
         rich = data.fit(E, cubic=True)
         chi2, dof = _quality(rich)
         ratio = (_quality(plain)[0] - chi2) / _CUBIC_TERMS / (chi2 / max(dof, 1))
-        cubic = ratio > float(f_distribution.isf(1e-3, _CUBIC_TERMS, max(dof, 1)))
+        cubic = ratio > fdtri(_CUBIC_TERMS, max(dof, 1), 1.0 - 1e-3)
         fits = rich if cubic else plain
     return data.result(fits, E, cubic)
 

@@ -40,6 +40,7 @@ def measured_noise(
     axis: int,
     coefficients: ComplexArray,
 ) -> dict[tuple[str, str], NoiseModel]:
+    """Noise of one axis by (role, part), from what the rough ``coefficients`` leave at the ``quiet`` frequencies."""
     models = {}
     for role in set(roles):
         own = [i for i, r in enumerate(roles) if r == role]

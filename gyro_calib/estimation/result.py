@@ -39,7 +39,15 @@ class MissionChannel:
 
 @dataclass(frozen=True)
 class ConvergencePoint:
-    """Estimate from the recordings up to a device time (for the picture of convergence)."""
+    """Estimate from the recordings up to a device time (for the picture of convergence).
+
+    Parameters
+    ----------
+    time_s : float
+        Device time [s].
+    bias, scale_factor : mapping of str to Quantity
+        By oscillator axis [rad/s], [V/(rad/s)].
+    """
 
     time_s: float
     bias: Mapping[str, Quantity]

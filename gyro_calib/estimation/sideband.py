@@ -80,7 +80,13 @@ def calibrate_sideband(
 
 
 def angular_gain(factory: Mapping[str, Any]) -> float:
-    """Kappa of the factory data; refuses without."""
+    """Kappa of the factory data; refuses without.
+
+    Raises
+    ------
+    CalibrationRefused
+        There is none, or it is not a positive number.
+    """
     kappa = factory.get("angular_gain_kappa")
     if not isinstance(kappa, int | float) or not kappa > 0:
         raise CalibrationRefused(
@@ -295,8 +301,8 @@ class SidebandProblem:
         reduced = self.fit.chi2 / max(self.fit.dof, 1)
         if reduced > _CHI2_WARN:
             warnings.append(
-                f"the linear model leaves chi-square/dof {reduced:.1f}: an effect is missing from it; standard deviations are scaled, "
-                "diagnose the gap before trusting them"
+                f"the linear model leaves chi-square/dof {reduced:.1f}: an effect is missing from it, or the base moved; "
+                "standard deviations are scaled, diagnose the gap before trusting them"
             )
         if self.fit.has_cubic:
             warnings.append(

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
@@ -192,7 +192,7 @@ def _gap(axis: str, lines: list[GapLines], unsure: float) -> tuple[AxisGap, list
     inverse = float(solution.x[0])
     inverse_sd = math.hypot(math.sqrt(covariance[0, 0]), unsure * inverse)
     warnings = []
-    if dof > 0 and reduced * dof > float(chi2_distribution.isf(1e-4, dof)):
+    if dof > 0 and reduced * dof > float(chdtri(dof, 1e-4)):
         warnings.append(
             f"{axis} pick-off: the lines leave chi-square/dof {reduced:.1f} against a gap's geometric law; another nonlinearity"
         )

@@ -1,5 +1,8 @@
 """Sequences of commands and what they must record, written once against the instrument seam."""
 
+from typing import TYPE_CHECKING
+
+from ..later import loaded_later
 from .bench_plans import BENCH_PLANS, factory_plan, pickoff_phase_plan
 from .gap_plans import GAP_ABILITIES, GAP_PLANS, gap_ftr_plan, gap_plan, gap_whole_angle_plan
 from .instrument import Instrument, compensation_in_force
@@ -16,8 +19,10 @@ from .plans import (
     static_plan,
 )
 from .runner import Progress, run_plan
-from .simulated import SimulatedInstrument
 from .whole_angle_plans import scale_factor_plan, virtual_precession_plan
+
+if TYPE_CHECKING:
+    from .simulated import SimulatedInstrument
 
 __all__ = [
     "BENCH_PLANS",
@@ -48,3 +53,6 @@ __all__ = [
     "static_plan",
     "virtual_precession_plan",
 ]
+
+# a live gyro's plans do without the simulation
+__getattr__ = loaded_later(__name__, {"SimulatedInstrument": "simulated"})

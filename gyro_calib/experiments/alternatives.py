@@ -81,7 +81,13 @@ def alternative_plan(
 
 
 def swept_drive_plan(factory: Mapping[str, Any], *, record_s: float = 4.0, quality: str = "quick", limits: Limits | None = None) -> Plan:
-    """Drive stepped through resonance on each axis, loops off, at the volts that the oscillator needs for its amplitude."""
+    """Drive stepped through resonance on each axis, loops off, at the volts that the oscillator needs for its amplitude.
+
+    Raises
+    ------
+    DataError
+        The factory data lack the angular gain or the nominal scale factors, or the quality is unknown.
+    """
     start = _first_steps(factory, quality)
     try:
         kappa = float(factory["angular_gain_kappa"])

@@ -73,6 +73,15 @@ def factory_plan(
 def pickoff_phase_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
     """Large amplitudes on each oscillator axis with converter samples, for the lines at 2 and 3 times the carrier.
 
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
     Raises
     ------
     DataError

@@ -84,7 +84,7 @@ _SETTLE_S, _SLOW_SETTLE_S = (3.0, 1.5), (PLACE_SETTLE_S, 4.0)
 
 
 def gap_plan(factory: Mapping[str, Any], **options: Any) -> Plan:
-    """The campaign that belongs to the gyro's mission: :func:`gap_ftr_plan` or :func:`gap_whole_angle_plan`, ``options`` as of these."""
+    """The campaign that the mission of ``factory`` needs: :func:`gap_ftr_plan` or :func:`gap_whole_angle_plan`, ``options`` as of these."""
     return (gap_whole_angle_plan if mission_mode(factory) == "whole_angle" else gap_ftr_plan)(factory, **options)
 
 

@@ -32,16 +32,20 @@ class Instrument(Protocol):
     """
 
     @property
-    def device_id(self) -> str: ...
+    def device_id(self) -> str:
+        """Identity of the unit."""
+        ...
 
     @property
-    def factory(self) -> dict[str, object]: ...
+    def factory(self) -> dict[str, object]:
+        """What left the factory with the unit."""
+        ...
 
     def configure(self, command: Command) -> None:
         """Put ``command`` in force; returns when the device has taken it."""
 
     def record(self, duration_s: float, *, settle_s: float = 0.0, label: str = "") -> Recording:
-        """Record ``duration_s`` after ``settle_s`` counted from the last command.
+        """Record ``duration_s`` after ``settle_s`` counted from the last command, under the name ``label``.
 
         Raises
         ------

@@ -74,10 +74,22 @@ class Limits:
 
 @dataclass(frozen=True)
 class Plan:
-    """Ordered steps of one method with abort conditions; ``final`` is the command put in force when it ends, however it ends.
+    """Ordered steps of one method with abort conditions.
 
-    Every recording carries ``words`` among its attributes (how an order was drawn); ``left_out`` says in sentences what the plan would
-    hold on an instrument of more abilities.
+    Parameters
+    ----------
+    name : str
+        Of the method.
+    steps : tuple of Step
+        In order.
+    limits : Limits
+        When to abort.
+    final : Command
+        Put in force when the plan ends, however it ends.
+    words : mapping
+        What every recording carries among its attributes (how an order was drawn).
+    left_out : tuple of str
+        In sentences, what the plan would hold on an instrument of more abilities.
     """
 
     name: str

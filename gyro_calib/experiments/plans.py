@@ -105,17 +105,62 @@ def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "stand
 
 
 def sideband_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
-    """Side bands and static stretches on both oscillator axes (document 000, steps 4 and 5)."""
+    """Side bands and static stretches on both oscillator axes (document 000, steps 4 and 5).
+
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
+    Raises
+    ------
+    DataError
+        Unknown quality, or factory data that lack what the plan needs.
+    """
     return Plan("sideband", tuple(_loop_steps(_quality(quality), _amplitude(factory))), limits or Limits(), _mission(factory))
 
 
 def feedthrough_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
-    """Loops off: open drive and body excitation off resonance (document 000, steps 2 and 3)."""
+    """Loops off: open drive and body excitation off resonance (document 000, steps 2 and 3).
+
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
+    Raises
+    ------
+    DataError
+        Unknown quality, or factory data that lack what the plan needs.
+    """
     return Plan("feedthrough", tuple(open_steps(_quality(quality), factory)), limits or Limits(), _mission(factory))
 
 
 def static_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
-    """A static stretch on each oscillator axis."""
+    """A static stretch on each oscillator axis.
+
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
+    Raises
+    ------
+    DataError
+        Unknown quality, or factory data that lack what the plan needs.
+    """
     q, amplitude = _quality(quality), _amplitude(factory)
     steps = tuple(Step(f"static_{a}", Command(f"ftr_{a}", setpoints=Setpoints(amplitude)), 4.0 * q.static_s, SWAP_SETTLE_S) for a in "xy")
     return Plan("static", steps, limits or Limits(), _mission(factory))
@@ -124,6 +169,20 @@ def static_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits
 def self_calibration_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
     """Everything that the gyro's mission needs: feedthrough and pick-off phase; then side bands on both axes (force to rebalance), or
     ring-down, stiffness control and virtual precession (whole angle).
+
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
+    Raises
+    ------
+    DataError
+        Unknown quality, or factory data that lack what the plan needs.
     """
     q = _quality(quality)
     if mission_mode(factory) == "whole_angle":
@@ -140,7 +199,22 @@ def mission_mode(factory: Mapping[str, Any]) -> str:
 
 
 def cubic_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
-    """The self-calibration at three amplitudes: cubic terms grow with the square and show only so (document 000, Eqs. 20-27)."""
+    """The self-calibration at three amplitudes: cubic terms grow with the square and show only so (document 000, Eqs. 20-27).
+
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
+    Raises
+    ------
+    DataError
+        Unknown quality, or factory data that lack what the plan needs.
+    """
     q, amplitude = _quality(quality), _amplitude(factory)
     steps = open_steps(q, factory)
     for share in CUBIC_AMPLITUDES:

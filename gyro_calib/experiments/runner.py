@@ -31,7 +31,19 @@ _NOMINAL_SHARE = 0.08
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a run stands: fraction of device time done (0-1), wall seconds left (NaN until known), the step under way."""
+    """Where a run stands.
+
+    Parameters
+    ----------
+    fraction : float
+        Of the device time, 0 to 1.
+    eta_s : float
+        Wall time left [s]; NaN until known.
+    step_label : str
+        Of the step under way.
+    step_index, steps : int
+        Its number from 0, and how many there are.
+    """
 
     fraction: float
     eta_s: float

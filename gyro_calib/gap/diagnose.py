@@ -133,6 +133,10 @@ def _found(model: CampaignModel, e: Screened, group: tuple[str, ...], probabilit
     for key, value in e.candidate.setting.items():
         if key in units:
             parameters[key] = Quantity(value, _setting_sd(model, e, key), units[key])
+    if e.name == "thermal_lag":
+        # a short lag is known by the product of the time that was tried and its share alone
+        share, tried = parameters.pop("share"), parameters["tau"]
+        parameters["tau"] = Quantity(share.value * tried.value, share.sd * tried.value, tried.unit)
     return FoundEffect(
         name=e.name,
         title=EFFECTS[e.name].title,

@@ -156,11 +156,21 @@ class Gap:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A candidate experiment and what it would tell."""
+    """A candidate experiment and what it would tell.
+
+    Parameters
+    ----------
+    description : str
+        What to do.
+    splits : tuple of str
+        Effects that it tells apart, or makes testable.
+    power_per_second : float or None
+        Non-centrality of the test between them that a second of it adds [1/s]; None where these recordings cannot say.
+    """
 
     description: str
     splits: tuple[str, ...]
-    power_per_second: float
+    power_per_second: float | None
 
 
 @dataclass(frozen=True)
@@ -220,10 +230,12 @@ class Diagnosis:
         One sentence for people.
     effects, unknown, map, standings, gap, not_testable, next_experiment, warnings
         See the classes.
-    chi2, dof : tuple
+    chi2_before, chi2_after, dof : float, float, int
         Before and after the effects, all experiments.
     probability_none, probability_unknown : float
     recordings, elapsed_s : int, float
+    provenance : mapping
+        Version of the package, hashes of what was read.
     estimate : PatchedEstimate or None
         The linear device beside the effects: what a patched device file is made of.
     map_after : tuple of Cell

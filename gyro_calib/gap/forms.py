@@ -206,6 +206,10 @@ def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """A lag that is short against the ramps is linear in its time; a longer one rounds their corners, and is tried as what it is."""
+    if "tau" in setting:
+        late = low_pass(s, s.temperature_k[:, None].astype(np.complex128), setting["tau"]) - s.temperature_k[:, None]
+        return [Part("share", "flow", 1j * d.frequency_slope_rad_s_k * late * _motion(s, d))]
     slope = np.gradient(s.temperature_k, s.row_s)[:, None]
     return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
 
@@ -218,12 +222,18 @@ def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], list[Part]]:
+    """In step with the reference while the loops run; ``open``: also with an open drive, whose generator is then the reference."""
+
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-        closed = 0.0 if s.recording.command.mode == "loops_off" else 1.0
+        closed = setting.get("open", 0.0) if s.recording.command.mode == "loops_off" else 1.0
         one = np.full((len(s.time_s), 2), closed, dtype=complex)
         return [Part(f"{letter}_{n}{q}", kind, f * _only(one, a)) for a, n in enumerate("xy") for q, f in (("c", 1.0), ("s", 1j))]
 
     return parts
+
+
+def _with_or_without_open_drive(signals: list[Signals]) -> list[Setting]:
+    return [{"open": 0.0}, {"open": 1.0}]
 
 
 def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: complex) -> Form:
@@ -278,7 +288,7 @@ FORMS: dict[str, Form] = {
         lambda s, d, g: [Part("c", "flow", 1j * (low_pass(s, _motion(s, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
     ),
     "parametric_pump": Form(lambda s, d, g: [Part(f"h_{n}", "flow", f * _motion(s, d).conj()) for n, f in (("c", 1.0), ("s", 1j))]),
-    "constant_force": Form(_constant("drive", "f")),
+    "constant_force": Form(_constant("drive", "f"), _with_or_without_open_drive),
     # drive
     "drive_nonlinearity": _static("drive", "d", "drive", 1.0),
     "drive_amplitude_phase": _static("drive", "d", "drive", 1j),
@@ -295,14 +305,14 @@ FORMS: dict[str, Form] = {
     "pickoff_saturation": Form(lambda s, d, g: [Part("share", "output", _clipped(s.pick, g["level"]))], _levels("pick", _LIMITS)),
     "pickoff_lag": Form(lambda s, d, g: [Part("tau", "output", _lag(s, s.pick))]),
     "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", low_pass(s, s.pick, g["tau"]))], _times(0.05, 5.0, 5)),
-    "pickoff_interference": Form(_constant("output", "v")),
+    "pickoff_interference": Form(_constant("output", "v"), _with_or_without_open_drive),
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", _only(_lag(s, s.pick), 1))]),
     # environment
     "thermal_damping": _environment("c", _warm, -1.0),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _motion(s, d), -1.0)),
     "thermal_frequency_curvature": _environment("k", lambda s: s.temperature_k**2, 1j),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
-    "thermal_lag": Form(_thermal_lag),
+    "thermal_lag": Form(_thermal_lag, _times(0.03, 3.0, 7)),
     "thermal_drive_gain": _scaled("drive", "g", "drive", _warm, 1.0),
     "thermal_drive_phase": _scaled("drive", "g", "drive", _warm, 1j),
     "thermal_pickoff_gain": _scaled("output", "g", "pick", _warm, 1.0),

@@ -126,7 +126,9 @@ def look_at(
     report(0.35, "effects of the registry")
     nuisances = _nuisances(evidence, linear, wander)
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
-    bank = anonymous_candidates(evidence, linear)
+    bank = [
+        (term, c) for term, c in anonymous_candidates(evidence, linear) if term.depends_on != "speed of change" or _open_drive(evidence)
+    ]
     # a wave that is turned shows what depends on rate, whatever its name
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
     report(0.75, "noise")
@@ -185,6 +187,11 @@ def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: f
     return linear_of(evidence, values, angular_gain)
 
 
+def _open_drive(evidence: CampaignEvidence) -> bool:
+    """Whether open drive of both axes tells the feedthrough; otherwise what changes fast is told from the loops' noise by nothing."""
+    return {e.axis for r in evidence if (e := r.recording.command.excitation).kind == "drive"} == {"x", "y"}
+
+
 def _saturated(
     evidence: CampaignEvidence, nuisances: Sequence[Column], candidates: Mapping[str, Sequence[Candidate]], turned: Sequence[Candidate]
 ) -> list[Column]:
@@ -193,8 +200,7 @@ def _saturated(
     Where no open drive of both axes told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the
     pick-off's, and a feedthrough or a lag that is free would explain the noise away.
     """
-    excitations = [r.recording.command.excitation for r in evidence]
-    if {e.axis for e in excitations if e.kind == "drive"} < {"x", "y"}:
+    if not _open_drive(evidence):
         return [c for c in nuisances if not c.name.startswith(("E_", "drive_lag"))]
     chosen = [c for tried in candidates.values() for c in tried[:: max(1, len(tried) // _SATURATED_SETTINGS)]]
     held = [c for c in effect_columns([*chosen, *turned]) if any(np.any(v) for v in c.signal)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +25,8 @@ _RECIPES = {
     "time": "Repeat the first static recordings at the end, and once more after an hour",
     "azimuth": "Record virtual precession of both senses over whole turns",
 }
+#: non-centrality at which two effects are told apart (gap.md: SNR times sine of the angle of 5); repeats beyond this are no plan
+_APART, _MOST_REPEATS = 25.0, 100.0
 _TEMPERATURE_K, _AMPLITUDES, _TURN_RAD = 2.0, 1.3, 2.0 * np.pi
 
 
@@ -44,11 +47,56 @@ def _varied(model: CampaignModel) -> set[str]:
     return {name for name, yes in found.items() if yes}
 
 
+def _repeats(model: CampaignModel, selection: Selection) -> list[Alternative]:
+    """Recordings of this campaign that tell a group's effects apart, by what each adds per second of it, and how often to repeat it.
+
+    What one effect shows and another in its place cannot imitate is a vector over all equations; its squared length is the
+    non-centrality of the test between the two, and a recording's share of it over its duration is what a second of it is worth (gap.md 8).
+    """
+    worth: dict[str, tuple[float, float, tuple[str, ...]]] = {}
+    for k, group in enumerate(selection.groups):
+        chosen = [e.candidate for e in selection.effects]
+        screener = model.screener_with([c for j, c in enumerate(chosen) if j != k])
+        mine = screener.screen(chosen[k])
+        for other in group[1:]:
+            rivals = [s for c in model.candidates.get(other, ()) if (s := screener.screen(c)) is not None]
+            if mine is None or not rivals:
+                continue
+            shown = mine.directions @ (mine.directions.T @ screener.left)
+            rival = max(rivals, key=lambda s: s.gain)
+            apart = shown - rival.directions @ (rival.directions.T @ shown)
+            found = _by_recording(model, apart)
+            best = max(found, key=lambda label: found[label][0] / found[label][1])
+            power, duration = found[best]
+            missing = max(_APART - float(apart @ apart), 0.0)
+            if power > 0.0 and (best not in worth or missing / power > worth[best][0]):
+                worth[best] = (missing / power, duration, tuple(dict.fromkeys((chosen[k].name, other))))
+    out = []
+    for label, (times, duration, names) in worth.items():
+        if 0.0 < times <= _MOST_REPEATS:
+            count = max(1, math.ceil(times))
+            text = f"Repeat {label!r} {count} times ({count * duration:.0f} s): of what was recorded it tells {' from '.join(names)} best."
+            out.append(Alternative(text, names, _APART / (times * duration)))
+    return sorted(out, key=lambda a: -(a.power_per_second or 0.0))
+
+
+def _by_recording(model: CampaignModel, rows: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Squared length in each recording's equations, and its duration [s]."""
+    found, first = {}, 0
+    for r in model.evidence:
+        count = 2 * r.signal.lhs.size
+        part = rows[first : first + count]
+        found[r.recording.label] = (float(part @ part), r.recording.duration_s)
+        first += count
+    return found
+
+
 def next_experiment(model: CampaignModel, selection: Selection, lines: Sequence[Standing]) -> NextExperiment:
     """The recipe that serves most of the effects that are alike or untestable, of what was not varied yet."""
     doubtful = tuple(dict.fromkeys(name for group in selection.groups if len(group) > 1 for name in group))
     served = doubtful or tuple(s.name for s in lines if s.status in ("not testable", "cannot tell"))
     purpose = f"tell apart {', '.join(doubtful)}" if doubtful else "see or exclude what these recordings cannot"
+    repeats = _repeats(model, selection)
     varied = _varied(model)
     votes: dict[str, list[str]] = {}
     for name in served:
@@ -57,8 +105,10 @@ def next_experiment(model: CampaignModel, selection: Selection, lines: Sequence[
                 votes.setdefault(need, []).append(name)
     if votes:
         ranked = sorted(votes.items(), key=lambda item: -len(item[1]))
-        others = tuple(Alternative(_RECIPES[need] + ".", tuple(names), 0.0) for need, names in ranked[1:4])
-        return NextExperiment(_RECIPES[ranked[0][0]] + ".", purpose, tuple(ranked[0][1]), others)
+        others = tuple(Alternative(_RECIPES[need] + ".", tuple(names), None) for need, names in ranked[1:4])
+        return NextExperiment(_RECIPES[ranked[0][0]] + ".", purpose, tuple(ranked[0][1]), (*repeats[:1], *others))
+    if repeats:
+        return NextExperiment(repeats[0].description, purpose, repeats[0].splits, tuple(repeats[1:3]))
     if served:
         return NextExperiment(
             "Repeat the campaign with recordings four times as long, in another order: everything is varied, what is missing is precision.",

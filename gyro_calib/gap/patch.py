@@ -152,6 +152,8 @@ def with_factory_data(device: Device, factory: Mapping[str, Any], diagnosis: Dia
         Nominal or previous description, before it is patched.
     factory : mapping
         Of the campaign. Without a nominal scale factor in it, that of the estimate counts: ``kappa a / |G|`` (theory.md Eq. 7).
+    diagnosis : Diagnosis
+        Holds that estimate.
     """
     f = device.factory_data
     changes: dict[str, Any] = {

@@ -44,6 +44,7 @@ from .calibration_messages import self_test_response, status_message
 from .calibration_parameters import check_parameters, declare_parameters, read_parameters
 from .calibration_runs import RUNS, CalibrationRun, KeptRecordings
 from .calibration_topics import CalibrationTopics
+from .company import refuse_company
 from .compensation_keeper import CompensationKeeper
 from .gap_run import GapRun
 from .gyro_client import GyroClient
@@ -143,6 +144,8 @@ class CalibrationNode(Node):
         settings = read_parameters(self)
         kind = RUNS[name]
         kind.check(facts.factory)
+        if kind.estimates and settings.autosave:
+            self._check_disk()
         try:
             plan, verify = kind.plans(facts.factory, quality=settings.plan_quality, limits=settings.limits)
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -169,9 +172,15 @@ class CalibrationNode(Node):
         self._work = work
         return Reply(True, f"{reply.message} ({len(plan.steps)} steps, {plan.duration_s:.0f} s of device time)", reply.run_id)
 
+    def _check_disk(self) -> None:
+        """Better a refusal now than a result after minutes that cannot be stored."""
+        store = self._in_force.store
+        if store is not None and not (check := check_store(store)).passed:
+            raise StoreError(f"{check.message} Or set autosave false: the result is then in force, but not on disk.")
+
     def _ready(self) -> GyroFacts:
         """Whether a run could begin now, from what is known without asking."""
-        self._refuse_company()
+        refuse_company(self, self._channels)
         facts, settings = self._watch.facts, self._settings
         if facts is None or self._watch.problem:
             raise DataError(self._watch.problem)
@@ -184,15 +193,6 @@ class CalibrationNode(Node):
             since = f"none came for {age_s:.1f} s" if math.isfinite(age_s) else "none has come"
             raise DataError(f"Stream of the gyro must deliver blocks, but {since}. Check that the gyro runs, then call again.")
         return facts
-
-    def _refuse_company(self) -> None:
-        """One calibration node and one stream to a gyro; what died a moment ago still counts until discovery forgets it."""
-        own = (self.get_name(), self.get_namespace())
-        if (nodes := self.get_node_names_and_namespaces().count(own)) > 1:
-            name = self.get_fully_qualified_name()
-            raise DataError(f"One node must calibrate a gyro, but {nodes} are named {name}. Stop the others and wait 30 s.")
-        if (streams := self.count_publishers(self._channels)) > 1:
-            raise DataError(f"One gyro must publish {self._channels}, but {streams} do. Give each gyro a namespace of its own.")
 
     def _save(self) -> Reply:
         return Reply(True, self._in_force.save())

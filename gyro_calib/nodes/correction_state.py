@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import json
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from ..calibration import CalibrationRecord, Corrector, CovarianceModel, RateErrorModel, validity_problems
 from ..errors import DataError
+from ..recording.rate import rate_range
 
 __all__ = ["ERROR", "OK", "WARN", "CorrectionSettings", "CorrectionState"]
 
@@ -16,6 +21,8 @@ OK, WARN, ERROR = 0, 1, 2
 
 #: sample rate until the first two stamps are known [Hz]
 _FIRST_GUESS_HZ = 1000.0
+#: a raw rate beyond this is none of any gyro, whatever its driver says of its range [rad/s]
+_FASTEST_RAD_S = 1e4
 
 
 @dataclass(frozen=True)
@@ -27,8 +34,11 @@ class CorrectionSettings:
     horizon_s: float = 60.0
     bandwidth_hz: float | None = None
     bias_drift_sd_rad_s: float = 0.0
+    bias_temperature_sd_rad_s_per_k: float = 0.0
+    scale_factor_temperature_sd_per_k: float = 0.0
     out_of_validity_sd_factor: float = 10.0
     hold_uncalibrated: bool = False
+    rate_limit_rad_s: float = 0.0
 
     def covariance(self, sample_rate_hz: float) -> CovarianceModel:
         """The model for a sample rate."""
@@ -39,7 +49,7 @@ class CorrectionState:
     """Decides, for one gyro, how a raw rate becomes a rate.
 
     The outcome of :meth:`refresh` is plain numbers for the sample loop: ``rate = (raw - bias) * gain``, variance
-    ``c0 + rate (c1 + c2 rate)``, and ``publishing``.
+    ``c0 + rate (c1 + c2 rate)``, ``publishing``, and the range beyond which a raw rate is no measurement.
 
     Parameters
     ----------
@@ -66,6 +76,9 @@ class CorrectionState:
         self.mode: str | None = None
         self.excitation: str | None = None
         self.compensation: tuple[float, ...] | None = None
+        self.range_rad_s = _FASTEST_RAD_S
+        self._factory: Mapping[str, Any] = {}
+        self._amplitude_v = 1.0
         self.sample_rate_hz = _FIRST_GUESS_HZ
         self.bias, self.gain = 0.0, 1.0
         self.c0, self.c1, self.c2 = 0.0, 0.0, 0.0
@@ -96,6 +109,15 @@ class CorrectionState:
             record, self.record = self.record, None
             self.offer(record, self.source)
 
+    def learn_range(self, factory_json: object, amplitude_v: object) -> None:
+        """How far the gyro measures, from what its driver says (either may be unknown, None); takes effect with :meth:`refresh`."""
+        if isinstance(factory_json, str):
+            with contextlib.suppress(ValueError, RecursionError):
+                found = json.loads(factory_json)
+                self._factory = found if isinstance(found, Mapping) else {}
+        if isinstance(amplitude_v, float):
+            self._amplitude_v = amplitude_v
+
     def refresh(self, now: datetime | None) -> None:
         """Decide anew; call it after anything changed, and from time to time because records age."""
         problems: list[tuple[int, str]] = [(ERROR, self.refusal)] if self.refusal else []
@@ -103,14 +125,20 @@ class CorrectionState:
         why_not = "" if blocked else self._why_not_corrected()
         record = None if blocked or why_not else self.record
         covariance = self.settings.covariance(self.sample_rate_hz)
+        stated = self.settings.rate_limit_rad_s or rate_range(self.mode or "", self._amplitude_v, self._factory)
+        self.range_rad_s = min(stated, _FASTEST_RAD_S)
         if record is None:
             errors = self.settings.uncalibrated
         else:
             doubts = self._doubts(record, now)
             problems += [(WARN, doubt) for doubt in doubts]
+            away_k = 0.0 if self.temperature_degc is None else abs(self.temperature_degc - record.temperature_degc.value)
+            # a thermometer that says nothing is a doubt already
+            away_k = away_k if math.isfinite(away_k) else 0.0
             errors = RateErrorModel.from_record(
                 record,
-                bias_drift_sd_rad_s=self.settings.bias_drift_sd_rad_s,
+                bias_drift_sd_rad_s=math.hypot(self.settings.bias_drift_sd_rad_s, self.settings.bias_temperature_sd_rad_s_per_k * away_k),
+                scale_factor_drift_sd=self.settings.scale_factor_temperature_sd_per_k * away_k,
                 sd_factor=self.settings.out_of_validity_sd_factor if doubts else 1.0,
             )
             if not self.device_id:

@@ -32,10 +32,13 @@ _NUMBERS: dict[str, tuple[float, float, float, str]] = {
     "covariance_horizon_s": (60.0, 1e-3, 1e9, "Mode horizon: time over which integrating independent samples shall be honest [s]."),
     "noise_bandwidth_hz": (0.0, 0.0, 1e6, "Noise bandwidth [Hz]: variance at rest over density squared; 0: half of the sample rate."),
     "bias_drift_sd_rad_s": (0.0, 0.0, 10.0, "How far the bias moves between calibration and use, 1 sigma [rad/s]; adds to the record's."),
+    "bias_temperature_sd_rad_s_per_k": (0.0, 0.0, 1.0, "Change of the bias per kelvin away from the calibration, 1 sigma [rad/s/K]."),
+    "scale_factor_temperature_sd_per_k": (0.0, 0.0, 1.0, "Change of the scale factor per kelvin away from it, 1 sigma [1/K]."),
     "out_of_validity_sd_factor": (10.0, 1.0, 1e6, "Factor on the sd of bias and scale factor outside the validity of the record [1]."),
     "uncalibrated_bias_sd_rad_s": (2000.0 * DEG_H, 0.0, 10.0, "Bias of an uncalibrated gyro, 1 sigma [rad/s], from its data sheet."),
     "uncalibrated_scale_factor_sd": (0.05, 0.0, 1.0, "Scale factor error of an uncalibrated gyro, 1 sigma [1], from its data sheet."),
     "uncalibrated_noise_density": (5e-5, 0.0, 10.0, "White noise of an uncalibrated gyro, one-sided [rad/s/sqrt(Hz)]: sqrt(2) ARW."),
+    "rate_limit_rad_s": (0.0, 0.0, 1e4, "Raw rate of a saturated gyro [rad/s]: as fast or faster is not passed on; 0: as its driver says."),
     "join_tolerance_s": (0.005, 0.0, 10.0, "Largest difference of stamps between gyros of one message [s]."),
     "accel_max_age_s": (0.1, 0.0, 10.0, "Largest difference of stamps between rate and the acceleration passed on [s]."),
     "stream_timeout_s": (3.0, 0.1, 3600.0, "Time without a rate after which a gyro counts as silent [s]."),
@@ -101,8 +104,11 @@ def read_settings(node: Node) -> CorrectionSettings:
         horizon_s=number["covariance_horizon_s"],
         bandwidth_hz=number["noise_bandwidth_hz"] or None,
         bias_drift_sd_rad_s=number["bias_drift_sd_rad_s"],
+        bias_temperature_sd_rad_s_per_k=number["bias_temperature_sd_rad_s_per_k"],
+        scale_factor_temperature_sd_per_k=number["scale_factor_temperature_sd_per_k"],
         out_of_validity_sd_factor=number["out_of_validity_sd_factor"],
         hold_uncalibrated=node.get_parameter("uncalibrated_policy").value == "hold",
+        rate_limit_rad_s=number["rate_limit_rad_s"],
     )
 
 

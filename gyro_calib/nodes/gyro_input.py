@@ -37,8 +37,8 @@ _NAME_UNKNOWN = "_NODE_NAME_UNKNOWN_"
 _GRACE_S = 2.0
 #: how often its name is looked up meanwhile [s]
 _RECHECK_S = 0.02
-#: parameters of a gyro's driver that say who it is and whether a record applies
-_FACTS = ("device_id", "mode", "compensation", "excitation.kind")
+#: parameters of a gyro's driver that say who it is, whether a record applies, and how far it can measure
+_FACTS = ("device_id", "mode", "compensation", "excitation.kind", "factory", "setpoint.amplitude_v")
 #: how often a driver that does not say who it is is asked
 _ASKS = 5
 #: value of record_urls that asks for no file
@@ -102,10 +102,12 @@ class GyroInput:
         fixed_rate_hz: float = 0.0,
     ) -> None:
         self.names, self.state, self.clock = names, state, SampleClock()
-        self.received = self.not_finite = 0
+        self.received = self.not_finite = self.saturated = 0
         self._node, self._on_sample, self._on_change, self._on_jump = node, on_sample, on_change, on_jump
         self._fixed_rate_hz = fixed_rate_hz
         self._next_estimate, self._jumps, self._received_seen = 2, 0, 0
+        #: whether a rate beyond the range came between the last two ticks
+        self.saturating, self._saturated_seen = False, 0
         self._last_arrival_s = math.nan
         self._publishers: frozenset[bytes] | None = None
         self._asks_left, self._pending = _ASKS, list[Any]()
@@ -147,8 +149,11 @@ class GyroInput:
         if clock.count == self._next_estimate:
             self._next_estimate = 20 if self._next_estimate == 2 else 0
             self._use_measured_rate()
-        if not math.isfinite(raw):
-            self.not_finite += 1
+        if not abs(raw) < state.range_rad_s:
+            if math.isfinite(raw):
+                self.saturated += 1
+            else:
+                self.not_finite += 1
             return
         if state.publishing:
             rate = (raw - state.bias) * state.gain
@@ -174,6 +179,7 @@ class GyroInput:
 
     def tick(self) -> None:
         """See to what no message announces: the sample rate, other publishers, the identity of the gyro, the age of the record."""
+        self.saturating, self._saturated_seen = self.saturated > self._saturated_seen, self.saturated
         if self.received != self._received_seen:
             self._received_seen, self._last_arrival_s = self.received, time.monotonic()
         self._use_measured_rate()
@@ -242,6 +248,7 @@ class GyroInput:
             state.excitation = facts["excitation.kind"]
         if facts.get("compensation") is not None and len(facts["compensation"]) == 4:
             state.compensation = tuple(facts["compensation"])
+        state.learn_range(facts.get("factory"), facts.get("setpoint.amplitude_v"))
         if isinstance(facts.get("device_id"), str) and facts["device_id"]:
             state.identify(facts["device_id"])
             self._load_file()

@@ -51,6 +51,8 @@ class ImuCorrector(Node):
         declare_parameters(self)
         settings, axes, names = read_settings(self), sense_axes(self), input_names(self)
         self._published, self._ready = 0, False
+        #: samples of each gyro since the last tick, and what was published until then
+        self._offered, self._published_before, self._unjoined = [0] * len(names), 0, False
         self._said: tuple[int, str, tuple[str, ...]] | None = None
         self._gyros: list[GyroInput] = []
         self._filler = ImuFiller(axes, self._value("frame_id"), self._value("accel_max_age_s"))
@@ -90,6 +92,7 @@ class ImuCorrector(Node):
         self._published += 1
 
     def _publish_joined(self, index: int, sample: Sample) -> None:
+        self._offered[index] += 1
         for samples in self._join.add(index, sample):
             self._output.publish(self._filler.fill(samples))
             self._published += 1
@@ -120,11 +123,20 @@ class ImuCorrector(Node):
     def _tick(self) -> None:
         for gyro in self._gyros:
             gyro.tick()
+        self._watch_join()
         status = self._make_status()
         self._status.publish(status)
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _watch_join(self) -> None:
+        """Notice that every gyro has sent since the last tick, and no samples of theirs belong together."""
+        unjoined = len(self._gyros) > 1 and min(self._offered) > 0 and self._published == self._published_before
+        self._offered, self._published_before = [0] * len(self._gyros), self._published
+        if unjoined != self._unjoined:
+            self._unjoined = unjoined
+            self._on_change()
 
     def _on_change(self) -> None:
         """Publish the state when its meaning changed; numbers alone wait for the tick."""
@@ -155,6 +167,12 @@ class ImuCorrector(Node):
             gyro_text = " ".join(filter(None, (problem[1], gyro.state.text)))
             level = max(level, gyro.state.level, problem[0])
             texts.append(f"{gyro.names.prefix}: {gyro_text}" if gyro.names.prefix else gyro_text)
+        if self._unjoined:
+            level = max(level, ERROR)
+            texts.append(
+                f"Stamps of the gyros must be within {self._join.tolerance_s:g} s of each other, but none are: nothing is published. "
+                "Check the clocks of their drivers, or raise join_tolerance_s."
+            )
         if self._filler.accel_frame_refused:
             level = max(level, WARN)
             texts.append(f"Acceleration left out: its frame is {self._filler.accel_frame_refused!r}, not that of the output.")
@@ -169,6 +187,9 @@ class ImuCorrector(Node):
         # not a number before the first tick: no problem then
         if gyro.silent_s > self._value("stream_timeout_s"):
             return ERROR, f"No rate on {gyro.topic} for more than {self._value('stream_timeout_s'):g} s: is the gyro running?"
+        if gyro.saturating:
+            limit = gyro.state.range_rad_s
+            return ERROR, f"Rate must stay below {limit:.4g} rad/s, the range of the gyro: samples beyond are left out. Turn slower."
         return 0, ""
 
     def _make_status(self) -> DiagnosticStatus:
@@ -194,6 +215,7 @@ def _facts(gyro: GyroInput) -> dict[str, object]:
         "received": gyro.received,
         "repeated": gyro.clock.repeated,
         "not_finite": gyro.not_finite,
+        "saturated": gyro.saturated,
         "time_restarts": gyro.clock.jumps,
         "sample_rate_hz": state.sample_rate_hz,
     }

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..calibration.files import TEMPORARY_SUFFIX
 from ..calibration.store import RecordMissingError, RecordStore
 from ..errors import StoreError
 from ..recording.columns import COLUMNS, column_index
@@ -144,7 +145,8 @@ def check_record(store: RecordStore) -> SelfCheck:
 
 
 def _probe(folder: Path) -> None:
-    handle, name = tempfile.mkstemp(prefix=".gyro-calib-probe-", dir=folder)
+    # named as the store's temporaries are: what a killed process leaves goes with the next save
+    handle, name = tempfile.mkstemp(prefix=".probe.", suffix=TEMPORARY_SUFFIX, dir=folder)
     try:
         os.write(handle, b"probe")
         os.fsync(handle)

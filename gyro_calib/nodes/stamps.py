@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 from typing import Any
 
 __all__ = ["Sample", "SampleClock", "StampJoin"]
@@ -13,10 +14,16 @@ Sample = tuple[int, float, float, Any]
 #: a stamp further back than this is a restart of time, a nearer one a repeat [ns]
 _JUMP_NS = 1_000_000_000
 _NEVER_NS = -(1 << 62)
+#: steps between stamps from which the rate is taken, at most
+_STEPS = 2000
 
 
 class SampleClock:
-    """Tells new stamps from repeated ones and measures their rate."""
+    """Tells new stamps from repeated ones and measures their rate.
+
+    The rate is that at which the gyro samples, not that at which samples arrive: lost ones and jumps of time do not count, or the noise of
+    a sample, which goes with its bandwidth, would be claimed too small.
+    """
 
     def __init__(self) -> None:
         #: stamps in the present window of measurement
@@ -25,30 +32,37 @@ class SampleClock:
         self.repeated = 0
         #: restarts of time
         self.jumps = 0
-        self._first_ns = 0
+        self._steps: deque[int] = deque(maxlen=_STEPS)
         self._last_ns = _NEVER_NS
 
     def accept(self, stamp_ns: int) -> bool:
         """Whether the sample is new. One more than a second older than the last is: time has been restarted."""
-        if stamp_ns <= self._last_ns:
-            if stamp_ns > self._last_ns - _JUMP_NS:
+        step_ns = stamp_ns - self._last_ns
+        if step_ns <= 0:
+            if step_ns > -_JUMP_NS:
                 self.repeated += 1
                 return False
             self.jumps += 1
             self.count = 0
-        if self.count == 0:
-            self._first_ns = stamp_ns
+            self._steps.clear()
+        elif self.count:
+            self._steps.append(step_ns)
         self.count += 1
         self._last_ns = stamp_ns
         return True
 
     def rate_hz(self) -> float | None:
-        """Mean sample rate of the present window [Hz]; ``None`` with fewer than two samples."""
-        return (self.count - 1) * 1e9 / (self._last_ns - self._first_ns) if self.count > 1 else None
+        """Sample rate in the present window [Hz], over the steps that are not gaps; ``None`` with fewer than two samples."""
+        if not self._steps:
+            return None
+        longest = 1.5 * median(self._steps)
+        near = [step for step in self._steps if step < longest]
+        return len(near) * 1e9 / sum(near)
 
     def restart_window(self) -> None:
         """Begin a new window at the last sample."""
-        self.count, self._first_ns = min(self.count, 1), self._last_ns
+        self.count = min(self.count, 1)
+        self._steps.clear()
 
 
 class StampJoin:

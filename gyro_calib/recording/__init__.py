@@ -1,15 +1,20 @@
 """What a gyro did under known commands: columns, commands, recordings, their files and bags, and what makes them refusable."""
 
-from .bag import read_campaign_bag
-from .bag_writer import write_campaign_bag
+from typing import TYPE_CHECKING
+
+from ..later import loaded_later
 from .columns import CHANNELS, COLUMN_UNITS, COLUMNS, column_index
 from .command import EXCITATIONS, MODES, Command, Excitation, Setpoints
 from .demodulate import demodulate
-from .hdf5 import read_campaign_h5, write_campaign_h5
 from .integrity import check_rows, validate
-from .load import load_campaign
 from .rate import raw_rate
 from .recording import Campaign, Recording
+
+if TYPE_CHECKING:
+    from .bag import read_campaign_bag
+    from .bag_writer import write_campaign_bag
+    from .hdf5 import read_campaign_h5, write_campaign_h5
+    from .load import load_campaign
 
 __all__ = [
     "CHANNELS",
@@ -33,3 +38,15 @@ __all__ = [
     "write_campaign_bag",
     "write_campaign_h5",
 ]
+
+# what needs HDF5, for those who have no files
+__getattr__ = loaded_later(
+    __name__,
+    {
+        "load_campaign": "load",
+        "read_campaign_bag": "bag",
+        "read_campaign_h5": "hdf5",
+        "write_campaign_bag": "bag_writer",
+        "write_campaign_h5": "hdf5",
+    },
+)

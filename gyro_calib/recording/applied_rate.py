@@ -34,7 +34,13 @@ def words_of_steps(t_s: list[float], rate_rad_s: list[float], axis: tuple[float,
 
 
 def table_axis(recording: Recording) -> FloatArray:
-    """Unit vector of the table's axis in the frame of the case, shape (3,)."""
+    """Unit vector of the table's axis in the frame of the case, shape (3,).
+
+    Raises
+    ------
+    DataError
+        The attribute is not three numbers, or all of them are zero.
+    """
     words = recording.extras.get("applied_rate")
     stated = words.get("axis") if isinstance(words, Mapping) else None
     if stated is None:

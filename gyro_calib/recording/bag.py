@@ -7,10 +7,12 @@ and the command of every segment. Needs ``rosbags`` (the extra ``bags``).
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -23,6 +25,7 @@ from ..errors import DataError
 from .columns import COLUMNS
 from .command import Command
 from .integrity import validate
+from .mcap_checksums import check_checksums
 from .parameter_log import ParameterChange, command_of, driver_changes, states_of_segments
 from .recording import Campaign, Recording
 
@@ -49,8 +52,9 @@ _VALUE_FIELDS = {
 }
 
 
+@lru_cache(maxsize=1)
 def import_rosbags() -> tuple[ModuleType, Any]:
-    """``rosbags.rosbag2`` and the type store of Jazzy.
+    """``rosbags.rosbag2`` and the type store of Jazzy; one for all, because a store compiles every type for itself.
 
     Raises
     ------
@@ -112,6 +116,8 @@ def read_campaign_bag(
     source = Path(path)
     rosbag2, store = import_rosbags()
     try:
+        for file in source.glob("*.mcap") if source.is_dir() else [source]:
+            check_checksums(file)
         with rosbag2.Reader(source) as reader:
             stream = _read_stream(reader, store, topic)
     except DataError as error:
@@ -234,7 +240,7 @@ def _campaign(
     everything: dict[str, Any] = {name: value for change in stream.changes for name, value in change.values.items()}
     device = _device_id(everything.get("device_id"), device_id)
     facts = dict(factory) if factory is not None else _factory(everything.get("factory"))
-    rate = everything.get("sample_rate_hz")
+    rate = _sample_rate(everything.get("sample_rate_hz"))
     recordings = []
     for index, (rows, state) in enumerate(zip(_split(stream), states, strict=True)):
         command = command_of(state) or (initial if index == 0 else None)
@@ -262,6 +268,14 @@ def _device_id(recorded: Any, given: str | None) -> str:
     return str(recorded or given)
 
 
+def _sample_rate(stated: Any) -> float | None:
+    if stated is None:
+        return None
+    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0.0 < stated < math.inf:
+        raise DataError(f"Parameter sample_rate_hz must be a number > 0, but got {stated!r}. Correct it in the driver.")
+    return float(stated)
+
+
 def _factory(text: Any) -> dict[str, Any]:
     if not text:
         return {}
@@ -287,17 +301,27 @@ def _split(stream: _Stream) -> list[FloatArray]:
 
 
 def _recording(
-    rows: FloatArray, state: Mapping[str, Any], command: Command, device: str, rate_hz: Any, settle_s: float
+    rows: FloatArray, state: Mapping[str, Any], command: Command, device: str, rate_hz: float | None, settle_s: float
 ) -> Recording | None:
     """The settled rows of a segment, or None if nothing is left."""
     skip = 0.0 if state.get(SETTLED) else settle_s
-    rate = float(rate_hz) if rate_hz else _rate(rows)
+    rate = rate_hz or _rate(rows)
     settled = rows[round(skip * rate) :]
     if settled.shape[0] < 2:
         return None
-    extras = json.loads(state.get(EXTRAS) or "{}")
+    extras = _extras(state.get(EXTRAS))
     label = state.get(LABEL) or f"segment_{int(rows[0, 1])}_{command.mode}"
     return Recording(device, settled, command, rate, label, extras)
+
+
+def _extras(text: Any) -> dict[str, Any]:
+    try:
+        extras = json.loads(text or "{}")
+    except (TypeError, ValueError, RecursionError):
+        extras = None
+    if not isinstance(extras, dict):
+        raise DataError(f"Parameter {EXTRAS} must be a JSON object, but got {text!r}. Copy or record the bag again.")
+    return extras
 
 
 def _rate(rows: FloatArray) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ..errors import DataError
 from .attributes import plain_value
 from .bag import BLOCKS_TYPE, EVENTS_TOPIC, EVENTS_TYPE, EXTRAS, LABEL, SETTLED, import_rosbags
 from .columns import COLUMNS
+from .mcap_checksums import add_checksums
 from .recording import Campaign, Recording
 
 __all__ = ["write_campaign_bag"]
@@ -59,8 +61,14 @@ def write_campaign_bag(path: str | os.PathLike[str], campaign: Campaign, *, name
     try:
         with rosbag2.Writer(target, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
             _Bag.open(writer, store, namespace.strip("/"), block_rows).write(campaign)
-    except (OSError, rosbag2.WriterError) as error:
-        raise DataError(f"Bag must be writable, but got {error} for {target}. Choose another folder.") from error
+        for file in target.glob("*.mcap"):
+            add_checksums(file)
+    except BaseException as error:
+        # half a bag would be in the way of the next attempt
+        shutil.rmtree(target, ignore_errors=True)
+        if isinstance(error, OSError | rosbag2.WriterError):
+            raise DataError(f"Bag must be writable, but got {error} for {target}. Choose another folder.") from error
+        raise
     return target
 
 

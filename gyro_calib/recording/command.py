@@ -154,5 +154,5 @@ class Command:
                 setpoints=Setpoints(**setpoints),
                 compensation=tuple(float(c) for c in flat.get("compensation", (1.0, 0.0, 0.0, 1.0))),  # type: ignore[arg-type]
             )
-        except TypeError as error:
-            raise DataError(f"Command parameters must be known names, but got {dict(flat)!r} ({error}).") from error
+        except (TypeError, ValueError) as error:
+            raise DataError(f"Command parameters must be known names with their types, but got {dict(flat)!r} ({error}).") from error

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import upfirdn
 
 __all__ = ["RowGrid", "cascade", "decimate"]
 
@@ -70,6 +69,8 @@ class RowGrid:
 
 def decimate(samples: NDArray[np.float64] | NDArray[np.complex128], grid: RowGrid) -> NDArray[np.float64] | NDArray[np.complex128]:
     """Filter and decimate a channel, shape (n,) -> (grid.count,)."""
+    from scipy.signal import upfirdn  # takes most of a second to load, and few recordings are of the carrier
+
     # zeros before the first kernel put its newest sample on the decimated grid of upfirdn
     lead = -(grid.span - 1) % grid.decimation
     last = grid.first + grid.span + (grid.count - 1) * grid.decimation

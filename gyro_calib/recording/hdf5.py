@@ -38,6 +38,8 @@ FORMAT_VERSION = 1
 _READ_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError)
 #: samples of one dataset; more is a damaged header or a file that does not fit the memory
 _MOST_SAMPLES = 2**28
+#: release of HDF5 whose format has checksums of its own data; older ones than that of 2008 do not read it
+_FORMAT_SINCE = ("v108", "latest")
 _RATE_NAMES = ("sample_rate_hz", "sample_rate", "fs_hz", "fs", "rate_hz")
 
 
@@ -67,13 +69,7 @@ def write_campaign_h5(path: str | os.PathLike[str], campaign: Campaign, *, dtype
     partial = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(partial, "w") as file:
-            file.attrs["format"] = FORMAT
-            file.attrs["format_version"] = FORMAT_VERSION
-            file.attrs["device_id"] = campaign.device_id
-            file.attrs["factory"] = json.dumps(plain_value(campaign.factory))
-            for index, recording in enumerate(campaign):
-                _write_recording(file.create_group(f"recording_{index:03d}"), recording, dtype)
+        partial.write_bytes(_image(campaign, dtype))
         os.replace(partial, target)
     except (OSError, RuntimeError, ValueError) as error:
         raise DataError(f"Recording file must be writable, but got {error} for {target}. Choose another folder.") from error
@@ -168,9 +164,9 @@ def _recording_groups(file: h5py.File) -> list[h5py.Group]:
     """Groups with datasets, in natural order of their names; the root itself when it holds the columns."""
     if _is_recording(file):
         return [file]
-    groups: list[h5py.Group] = [item for item in file.values() if isinstance(item, h5py.Group)]
+    groups: list[h5py.Group] = [item for item in _items(file).values() if isinstance(item, h5py.Group)]
     if groups and not any(map(_is_recording, groups)):
-        groups = [item for group in groups for item in group.values() if isinstance(item, h5py.Group)]
+        groups = [item for group in groups for item in _items(group).values() if isinstance(item, h5py.Group)]
     groups = [group for group in groups if _is_recording(group)]
     if not groups:
         raise DataError("A recording file must hold one group of columns per recording, but got none. Check what the logger wrote.")
@@ -178,7 +174,13 @@ def _recording_groups(file: h5py.File) -> list[h5py.Group]:
 
 
 def _is_recording(group: h5py.Group) -> bool:
-    return any(isinstance(item, h5py.Dataset) or (key == "raw" and isinstance(item, h5py.Group)) for key, item in group.items())
+    return any(isinstance(item, h5py.Dataset) or (key == "raw" and isinstance(item, h5py.Group)) for key, item in _items(group).items())
+
+
+def _items(group: h5py.Group) -> dict[str, Any]:
+    """What a group holds by name; its own ``items()`` gives None for a member that is damaged, as for a link that leads nowhere."""
+    hard = {key: isinstance(group.get(key, getlink=True), h5py.HardLink) for key in group}
+    return {key: group[key] if must else group.get(key) for key, must in hard.items()}
 
 
 def _read_recording(group: h5py.Group, device_id: str, index: int, factory: Mapping[str, Any]) -> Recording:
@@ -235,7 +237,7 @@ def _stand_in(column: str, attributes: Mapping[str, Any], index: int, name: str)
 
 
 def _dataset_names(group: h5py.Group) -> list[str]:
-    return [key for key, item in group.items() if isinstance(item, h5py.Dataset)]
+    return [key for key, item in _items(group).items() if isinstance(item, h5py.Dataset)]
 
 
 def _dataset(group: h5py.Group, key: str) -> NDArray[Any]:
@@ -312,6 +314,19 @@ def _attributes(item: h5py.Group) -> dict[str, Any]:
     return {key: None if isinstance(value, h5py.Empty) else decode_attribute(value) for key, value in values.items()}
 
 
+def _image(campaign: Campaign, dtype: str) -> bytes:
+    """The file's content. Made in memory, because the HDF5 library ends the process when a disk fills up under it."""
+    with h5py.File("campaign", "w", libver=_FORMAT_SINCE, driver="core", backing_store=False, block_size=1 << 20) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        file.attrs["device_id"] = campaign.device_id
+        file.attrs["factory"] = json.dumps(plain_value(campaign.factory))
+        for index, recording in enumerate(campaign):
+            _write_recording(file.create_group(f"recording_{index:03d}"), recording, dtype)
+        file.flush()
+        return bytes(file.id.get_file_image())
+
+
 def _write_recording(group: h5py.Group, recording: Recording, dtype: str) -> None:
     ours = to_attributes(recording.command)
     words = ours | dict(recording.extras)  # a logger keeps its own words; `command` says what they mean
@@ -325,9 +340,9 @@ def _write_recording(group: h5py.Group, recording: Recording, dtype: str) -> Non
     for column in COLUMNS if len(recording) else ():
         narrow = column in COLUMNS[2:10]
         values = recording.column(column).astype(dtype if narrow else np.float64)
-        dataset = group.create_dataset(column, data=values, compression="gzip", compression_opts=1, shuffle=True)
+        dataset = group.create_dataset(column, data=values, compression="gzip", compression_opts=1, shuffle=True, fletcher32=True)
         dataset.attrs["unit"] = COLUMN_UNITS[column]
     if recording.raw is not None:
         raw = group.create_group("raw")
         for channel, samples in recording.raw.items():
-            raw.create_dataset(channel, data=samples)
+            raw.create_dataset(channel, data=samples, fletcher32=samples.size > 0)

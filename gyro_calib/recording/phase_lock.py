@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import oaconvolve
 
 from ..errors import DataError
 
@@ -125,6 +124,8 @@ def lock_phase(
     DataError
         No carrier, too few samples per cycle, a record too short, or a reference that fades inside the record.
     """
+    from scipy.signal import oaconvolve  # takes most of a second to load, and few recordings are of the carrier
+
     carrier = carrier_frequency(volts, rate_hz, near_hz, what=what)
     half = min(round(rate_hz / bandwidth_hz), volts.size // 8)
     if half * carrier / rate_hz < _LEAST_CYCLES:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,12 +17,14 @@ from ..errors import DataError
 from .columns import column_index
 from .command import Command
 
-__all__ = ["WAVE_MODES", "raw_rate", "wave_azimuth"]
+__all__ = ["WAVE_MODES", "rate_range", "raw_rate", "wave_azimuth"]
 
 FloatArray = NDArray[np.float64]
 #: modes in which the wave turns freely
 WAVE_MODES = ("whole_angle", "stiffness", "ring_down", "ring_up")
 _RATE_COLUMN = {"ftr_x": ("y_drive_s", "x"), "ftr_y": ("x_drive_s", "y")}
+#: share of the drive's full scale that is still believed
+_BELIEVED = 0.98
 
 
 def raw_rate(rows: FloatArray, command: Command, factory: Mapping[str, Any], *, before: FloatArray | None = None) -> FloatArray:
@@ -58,6 +61,33 @@ def raw_rate(rows: FloatArray, command: Command, factory: Mapping[str, Any], *, 
         return np.full(rows.shape[0], np.nan)
     column, axis = _RATE_COLUMN[command.mode]
     return rows[:, column_index(column)] / (_nominal_scale(factory, axis) * command.setpoints.amplitude_v)
+
+
+def rate_range(mode: str, amplitude_v: float, factory: Mapping[str, Any]) -> float:
+    """Raw rate at which the rebalance drive is at the end of its range [rad/s]: one as large is no measurement.
+
+    Parameters
+    ----------
+    mode : str
+        In force.
+    amplitude_v : float
+        Set point of the oscillator [V].
+    factory : mapping
+        ``dac_full_scale_V`` and what :func:`raw_rate` needs.
+
+    Returns
+    -------
+    float
+        inf for a free wave, and where the factory data do not say.
+    """
+    full_scale, axis = factory.get("dac_full_scale_V"), _RATE_COLUMN.get(mode, ("", ""))[1]
+    if not axis or isinstance(full_scale, bool) or not isinstance(full_scale, int | float) or not full_scale > 0.0 or not amplitude_v > 0.0:
+        return math.inf
+    try:
+        scale = abs(_nominal_scale(factory, axis)) * amplitude_v
+    except (DataError, TypeError, ValueError, ZeroDivisionError):
+        return math.inf
+    return _BELIEVED * float(full_scale) / scale if scale > 0.0 else math.inf
 
 
 def wave_azimuth(rows: FloatArray) -> FloatArray:

@@ -67,7 +67,13 @@ class RawBlock:
         return cls(channels, start, rate, size, where)
 
     def temperature(self, recording: Recording, grid: RowGrid, t: FloatArray, factory: Mapping[str, Any]) -> FloatArray | float:
-        """Of the rows, of a raw channel, of the attributes; else assumed, and said so."""
+        """Of the rows, of a raw channel, of the attributes; else assumed, and said so.
+
+        Raises
+        ------
+        DataError
+            None of them, and no reference temperature in the factory data to assume.
+        """
         if "temperature" in self.channels:
             return np.asarray(decimate(self.channels["temperature"], grid))
         if len(recording):

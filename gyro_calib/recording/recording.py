@@ -102,6 +102,15 @@ class Recording:
 class Campaign:
     """Recordings of one device, in order.
 
+    Parameters
+    ----------
+    device_id : str
+        The device.
+    recordings : tuple of Recording
+        In the order of their making.
+    factory : mapping
+        Factory data of the unit.
+
     Raises
     ------
     DataError

@@ -17,10 +17,14 @@ class HasTruth(Protocol):
     """``rate_raw = scale_factor * rate + bias_rad_s``, as it truly is."""
 
     @property
-    def bias_rad_s(self) -> float: ...
+    def bias_rad_s(self) -> float:
+        """Bias [rad/s]."""
+        ...
 
     @property
-    def scale_factor(self) -> float: ...
+    def scale_factor(self) -> float:
+        """Scale factor [1]."""
+        ...
 
 
 @dataclass(frozen=True)

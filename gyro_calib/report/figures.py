@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .series import Convergence, RateTrace, Residuals, ResponseRun
 from .table import number
@@ -43,10 +44,8 @@ class Drawing:
 def draw_response(runs: Sequence[ResponseRun], theme: Theme) -> Drawing:
     """Oscillator pick-off per drive volt against side-band frequency: measured points on the fitted resonance."""
     with figure(theme) as (drawn, axes):
-        for run, colour in zip(runs, theme.series, strict=False):
-            axes.plot(run.frequency_hz, np.abs(run.direct), "o", color=colour, label=f"{run.axis} oscillator, measured")
-            if run.fit_frequency_hz.size:
-                axes.plot(run.fit_frequency_hz, np.abs(run.fit_direct), color=colour, label=f"{run.axis} oscillator, fit")
+        for run in runs:
+            _draw_run(axes, run, theme, np.abs(run.direct), np.abs(run.fit_direct))
         axes.set_xlabel("side-band frequency from the carrier [Hz]")
         axes.set_ylabel("pick-off per drive [V/V]")
         axes.set_ylim(bottom=0.0)
@@ -64,10 +63,8 @@ def draw_response(runs: Sequence[ResponseRun], theme: Theme) -> Drawing:
 def draw_cross_response(runs: Sequence[ResponseRun], theme: Theme) -> Drawing:
     """Rebalance drive per oscillator volt, the part in phase with velocity: the channel that carries the rate."""
     with figure(theme) as (drawn, axes):
-        for run, colour in zip(runs, theme.series, strict=False):
-            axes.plot(run.frequency_hz, 1e3 * run.cross.imag, "o", color=colour, label=f"{run.axis} oscillator, measured")
-            if run.fit_frequency_hz.size:
-                axes.plot(run.fit_frequency_hz, 1e3 * run.fit_cross.imag, color=colour, label=f"{run.axis} oscillator, fit")
+        for run in runs:
+            _draw_run(axes, run, theme, 1e3 * run.cross.imag, 1e3 * run.fit_cross.imag)
         axes.set_xlabel("side-band frequency from the carrier [Hz]")
         axes.set_ylabel("rebalance per pick-off [mV/V]")
         _legend(axes, columns=2)
@@ -168,6 +165,19 @@ def draw_convergence(series: Sequence[tuple[str, Convergence]], name: str, title
     error = float(last.value[-1] - last.reference)
     start = f"{label}: {number(error, float(last.sd[-1]))} {unit} from the truth" if truth else f"{label}: settled"
     return Drawing(name, title, f"{start} with a claimed sd of {last.sd[-1]:.2g} {unit} after {last.time_s[-1]:.0f} s of data.", drawn)
+
+
+def _draw_run(axes: Any, run: ResponseRun, theme: Theme, measured: NDArray[np.float64], fit: NDArray[np.float64]) -> None:
+    """One oscillator; alike ones lie on each other, so x is drawn wide and hollow, y narrow and full above it."""
+    wide = run.axis == "x"
+    colour = theme.series[0 if wide else 1]
+    label = f"{run.axis} oscillator"
+    if run.fit_frequency_hz.size:
+        axes.plot(
+            run.fit_frequency_hz, fit, color=colour, linewidth=3.2 if wide else 1.2, alpha=0.5 if wide else 1.0, label=f"{label}, fit"
+        )
+    hollow = {"markersize": 7.5, "markerfacecolor": "none", "markeredgewidth": 1.6} if wide else {"markersize": 4.0}
+    axes.plot(run.frequency_hz, measured, "o", color=colour, label=f"{label}, measured", **hollow)
 
 
 def _legend(axes: Any, columns: int) -> None:

@@ -85,7 +85,7 @@ def draw_channels(before: Sequence[Cell], after: Sequence[Cell], theme: Theme) -
             heights = [values.get(name, 0.0) for name in names]
             axes.bar(at, heights, width=0.92 * width, color=colour, label=label)
             for x, height in zip(at, heights, strict=True):
-                axes.annotate(f"{height:.3g}", (x, height), (0, 2), textcoords="offset points", ha="center", fontsize=8.0)
+                axes.annotate(f"{height:.2g}", (x, height), (0, 2), textcoords="offset points", ha="center", fontsize=7.5)
         axes.axhline(1.0, color=theme.ink, linewidth=1.2, linestyle=(0, (4, 3)), label="noise alone")
         highest = max(max(values.values(), default=1.0) for _, values, _ in sides)
         if highest > 5.0:
@@ -141,7 +141,7 @@ def _cell(axes: Any, column: int, row: int, value: float, theme: Theme) -> None:
     level = min(math.log(value / _SEEN) / math.log(_FULL / _SEEN), 1.0)
     axes.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, facecolor=theme.series[1], alpha=0.25 + 0.6 * level, linewidth=0.0))
     words = f"{value:.0f}" if value < 999.5 else f"{value / 1000.0:.0f}k"
-    axes.text(column, row, words, ha="center", va="center", fontsize=6.5, color=theme.ink)
+    axes.text(column, row, words, ha="center", va="center", fontsize=7.0, color=theme.ink)
 
 
 def _by_channel(cells: Sequence[Cell]) -> dict[str, float]:

@@ -11,10 +11,11 @@ from ..estimation.allan import AllanAnalysis
 from ..quantity import Quantity
 from ..units import DEG_H, deg_rth
 from .figures import Drawing
+from .series import RateTrace
 from .table import Table, number, quantity_cells
 from .theme import Theme, figure
 
-__all__ = ["allan_table", "draw_allan", "draw_distributions"]
+__all__ = ["allan_table", "draw_allan", "draw_distributions", "draw_rest"]
 
 #: name in the analysis -> (words, display unit, display units per SI unit)
 _COEFFICIENTS = {
@@ -73,6 +74,27 @@ def draw_allan(analysis: AllanAnalysis, theme: Theme) -> Drawing:
     if "angle_random_walk" in analysis.not_observable:
         conclusion = f"Averaging helps up to {tau:.0f} s, down to {lowest.value / DEG_H:.2g} deg/h."
     return Drawing("allan", "Allan deviation", conclusion, drawn)
+
+
+def draw_rest(trace: RateTrace, theme: Theme) -> Drawing:
+    """The rate that the deviation is of, as means over a window, mean taken off: drift and jumps that a deviation only hints at."""
+    mean = float(np.mean(trace.rate_deg_h))
+    with figure(theme) as (drawn, axes):
+        axes.axhline(0.0, color=theme.ink, linewidth=1.2, linestyle=(0, (4, 3)), label="mean of all")
+        axes.plot(
+            trace.time_s - trace.time_s[0], trace.rate_deg_h - mean, color=theme.series[0], label=f"rate, means over {trace.window_s:.3g} s"
+        )
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("rate − mean [deg/h]")
+        axes.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handlelength=1.4)
+    half = trace.rate_deg_h.size // 2
+    first, last = trace.rate_deg_h[:half], trace.rate_deg_h[half:]
+    sd = float(np.hypot(np.std(first) / np.sqrt(max(first.size, 1)), np.std(last) / np.sqrt(max(last.size, 1))))
+    moved = float(np.mean(last) - np.mean(first)) if half else 0.0
+    steady = abs(moved) <= 3.0 * sd
+    conclusion = f"Second half minus first half {number(moved, sd)} ± {sd:.2g} deg/h: "
+    conclusion += "noise that averages out." if steady else "it wanders, the right end of the Allan deviation says by how much."
+    return Drawing("rest", f"Rate at rest, mean {number(mean, sd)} deg/h taken off", conclusion, drawn)
 
 
 def draw_distributions(figures: Mapping[str, NDArray[np.float64]], title: str, conclusion: str, theme: Theme) -> Drawing:

@@ -127,6 +127,11 @@ def _text(words: str) -> str:
     return html.escape(words, quote=True)
 
 
+def _name(words: str) -> str:
+    """A name that may be broken after an underscore, and nowhere else inside."""
+    return _text(words).replace("_", "_<wbr>")
+
+
 def _block(name: str, items: Sequence[str]) -> str:
     return f'<section class="{name}">\n' + "\n".join(items) + "\n</section>" if items else ""
 
@@ -152,9 +157,12 @@ def _words(words: Words) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f'<th scope="col">{_text(cell)}</th>' for cell in table.header)
+    kinds = [' class="words"' if k in table.words else "" for k in range(len(table.header))]
+    head = "".join(f'<th scope="col"{kind}>{_text(cell)}</th>' for kind, cell in zip(kinds, table.header, strict=True))
     rows = "\n".join(
-        "<tr>" + "".join(f'<th scope="row">{_text(c)}</th>' if k == 0 else f"<td>{_text(c)}</td>" for k, c in enumerate(row)) + "</tr>"
+        "<tr>"
+        + "".join(f'<th scope="row">{_name(c)}</th>' if k == 0 else f"<td{kinds[k]}>{_text(c)}</td>" for k, c in enumerate(row))
+        + "</tr>"
         for row in table.rows
     )
     caption = f'<p class="note">{_text(table.caption)}</p>' if table.caption else ""

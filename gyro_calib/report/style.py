@@ -51,6 +51,9 @@ table { border-collapse: collapse; width: 100%; font-size: 14px; font-variant-nu
 th, td { padding: 6px 14px 6px 0; text-align: right; border-top: 1px solid var(--line); white-space: nowrap; }
 thead th { border-top: 0; color: var(--muted); font-weight: 500; }
 th:first-child { text-align: left; font-weight: 500; }
+td.words, th.words { text-align: left; }
+td.words { white-space: normal; }
+tr > :last-child { padding-right: 0; }
 .table .note, details .note { margin-top: 10px; }
 footer { margin-top: 24px; color: var(--muted); font-size: 13px; overflow-wrap: anywhere; }
 @media screen and (max-width: 760px) {
@@ -61,13 +64,24 @@ footer { margin-top: 24px; color: var(--muted); font-size: 13px; overflow-wrap: 
   .tiles { grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; }
   .tile, .panel, .notes, .table, details { padding: 12px 14px; }
   .figure { font-size: 21px; }
+  .plot { margin-inline: -12px; }
+  table { font-size: 13px; }
+  th, td { padding-right: 10px; }
+  th { white-space: normal; }
+  tbody th { min-width: 7.5em; }
+  td.words { min-width: 9em; }
 }
 @media print {
+  @page { margin: 14mm; }
   :root { --page: #ffffff; --card: #ffffff; --ink: #1b1f24; --muted: #454c54; --grid: #e3e6ea; --line: #c9ced5;
     --s1: #1f6feb; --s2: #d1670a; --s3: #0f8a6a; --s4: #8250c4; --good: #0f8a6a; --bad: #c4352b; }
   body { font-size: 11pt; }
   main { max-width: none; padding: 0; }
-  .tile, .panel, .table tr, .notes { break-inside: avoid; }
+  .tile, .panel, .notes, tr { break-inside: avoid; }
+  h2, summary, thead { break-after: avoid; }
+  .scroll { overflow: visible; }
+  table { font-size: 9pt; }
+  th, td { padding: 3px 8px 3px 0; white-space: normal; }
   .panels { gap: 12px; }
   .tiles { grid-template-columns: repeat(4, 1fr); }
   .figure { font-size: 18px; }

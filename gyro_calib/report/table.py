@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,9 @@ from typing import Any
 from ..quantity import Quantity
 
 __all__ = ["Table", "number", "parameter_table", "quantity_cells", "to_rich"]
+
+#: how a cell begins that is a number, whatever follows it
+_NUMBER = re.compile(r"[−+<>≤≥-]?\s*[\d∞]")
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Table:
     header : tuple of str
         One cell per column.
     rows : tuple of tuple of str
-        Cells; columns after the first are aligned as numbers.
+        Cells; columns after the first are aligned as numbers, unless none of their cells begins with one (:attr:`words`).
     caption : str
         One line below.
     folded : bool
@@ -36,6 +40,11 @@ class Table:
     caption: str = ""
     folded: bool = False
 
+    @property
+    def words(self) -> frozenset[int]:
+        """Columns after the first that hold words: aligned left, and wrapped where there is no room."""
+        return frozenset(k for k in range(1, len(self.header)) if not any(_NUMBER.match(row[k]) for row in self.rows if k < len(row)))
+
 
 def number(value: float, sd: float = 0.0) -> str:
     """``value`` to the second significant digit of ``sd``, or to six significant digits; thin spaces between thousands, a true minus sign.
@@ -47,7 +56,8 @@ def number(value: float, sd: float = 0.0) -> str:
         return "not observable" if math.isnan(value) else str(value).replace("inf", "∞")
     if math.isfinite(sd) and sd > 0.0:
         places = 1 - math.floor(math.log10(sd))
-        text = f"{round(value, places):,.{max(0, min(places, 12))}f}" if abs(value) < 1e12 else f"{value:.6g}"
+        # + 0.0: a zero has no sign
+        text = f"{round(value, places) + 0.0:,.{max(0, min(places, 12))}f}" if abs(value) < 1e12 else f"{value:.6g}"
     else:
         text = f"{value:.6g}"
     if len(text.lstrip("-")) > 13 or text.lstrip("-").startswith("0.00000"):
@@ -79,7 +89,7 @@ def to_rich(table: Table) -> Any:
     drawn = RichTable(title=title if table.title else None, caption=caption if table.caption else None, box=box.SIMPLE_HEAD)
     drawn.title_justify = drawn.caption_justify = "left"
     for k, cell in enumerate(table.header):
-        drawn.add_column(Text(cell), justify="left" if k == 0 else "right", no_wrap=k == 0)
+        drawn.add_column(Text(cell), justify="left" if k == 0 or k in table.words else "right", no_wrap=k == 0)
     for row in table.rows:
         drawn.add_row(*map(Text, row))
     return drawn

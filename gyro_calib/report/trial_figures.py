@@ -34,11 +34,18 @@ def _reliability(axis: Any, result: BlindTrials, theme: Theme) -> None:
     stated = np.array([r["stated"] for r in rows])
     right = np.array([r["right"] / r["count"] for r in rows])
     spread = np.array([r["interval"] for r in rows]).reshape(-1, 2)
-    axis.plot([0.0, 1.0], [0.0, 1.0], color=theme.muted, linewidth=0.8)
+    axis.plot([0.0, 1.0], [0.0, 1.0], color=theme.muted, linewidth=0.8, label="stated = true")
     if rows:
         error = np.abs(spread.T - right)
-        axis.errorbar(stated, right, yerr=error, fmt="o-", color=theme.series[0], capsize=3.0)
-    axis.set(xlim=(0.0, 1.02), ylim=(0.0, 1.02), xlabel="probability stated", ylabel="share right", title="Reliability")
+        axis.errorbar(stated, right, yerr=error, fmt="o-", color=theme.series[0], capsize=3.0, label="verdicts, 95 % interval")
+    axis.set(
+        xlim=(0.0, 1.02),
+        ylim=(0.0, 1.02),
+        xlabel="probability stated [1]",
+        ylabel="share right [1]",
+        title="Reliability: below the line, too sure",
+    )
+    axis.legend(loc="upper left")
 
 
 def _confusion(axis: Any, result: BlindTrials, theme: Theme) -> None:
@@ -51,4 +58,4 @@ def _confusion(axis: Any, result: BlindTrials, theme: Theme) -> None:
     axis.grid(False)
     axis.set_xticks(range(len(said)), said, rotation=90, fontsize=5)
     axis.set_yticks(range(len(truths)), truths, fontsize=5)
-    axis.set(title="Truth (rows) and what was said", xlabel="", ylabel="")
+    axis.set(title="Share of each truth that was called so: darker is more", xlabel="said", ylabel="truth")

@@ -142,6 +142,8 @@ def flow_with(terms: SlowTerms, A: ComplexArray, G: ComplexArray, pick: ComplexA
 
     Parameters
     ----------
+    terms : SlowTerms
+        Of the rows.
     A, G : ndarray, shape (rows, 2, 2), complex
         Of the device without these effects [1/s].
     pick : ndarray, shape (2, 2), complex

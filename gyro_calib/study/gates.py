@@ -63,14 +63,14 @@ class Gate:
 
 
 def rms(errors: ArrayLike, unit: str) -> Quantity:
-    """Root mean square over independent runs, with the sd of a normal sample: ``rms / sqrt(2 n)``."""
+    """Root mean square of ``errors`` over independent runs, in ``unit``, with the sd of a normal sample: ``rms / sqrt(2 n)``."""
     data = np.asarray(errors, dtype=float)
     value = float(np.sqrt(np.mean(np.square(data))))
     return Quantity(value, value / math.sqrt(2.0 * data.size), unit)
 
 
 def quantile(values: ArrayLike, probability: float, unit: str) -> Quantity:
-    """Quantile with the sd that the order statistics around it give."""
+    """Quantile of ``values`` at ``probability``, in ``unit``, with the sd that the order statistics around it give."""
     data = np.sort(np.asarray(values, dtype=float))
     half = math.sqrt(probability * (1.0 - probability) / data.size)
     low, middle, high = np.quantile(data, np.clip([probability - half, probability, probability + half], 0.0, 1.0))
@@ -78,7 +78,7 @@ def quantile(values: ArrayLike, probability: float, unit: str) -> Quantity:
 
 
 def coverage(errors: ArrayLike, sds: ArrayLike, sigmas: float = 1.959964) -> Quantity:
-    """Share of runs [%] whose error is within ``sigmas`` claimed standard deviations, with its binomial sd (Wilson)."""
+    """Share of runs [%] whose one of ``errors`` is within ``sigmas`` of its claimed ``sds``, with its binomial sd (Wilson)."""
     inside = np.abs(np.asarray(errors, dtype=float)) <= sigmas * np.asarray(sds, dtype=float)
     n, share = inside.size, float(np.mean(inside))
     centred = (share * n + 2.0) / (n + 4.0)

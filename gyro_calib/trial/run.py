@@ -94,7 +94,13 @@ class TrialLog:
             path.write_text("", encoding="utf-8")
 
     def seal(self, number: int, sha256: str) -> None:
-        """Written before the campaign is diagnosed."""
+        """Written before the campaign is diagnosed.
+
+        Raises
+        ------
+        DataError
+            The trial has a seal already.
+        """
         if number in self._seals:
             raise DataError(f"Trial {number} must be sealed once, but has a seal already. The trial is void.")
         self._seals[number] = sha256

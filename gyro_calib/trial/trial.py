@@ -30,6 +30,15 @@ __all__ = ["LIKE", "TRIALS_PER_UNIT", "Outcome", "Prepared", "prepare", "run_tri
 TRIALS_PER_UNIT = 6
 #: a ratio that is left behind an imitator and below this tells nobody apart (gap.md)
 LIKE = 5.0
+#: what grows with the volts of a drive: multiplexed ones are higher in their slot than the recorded mean, and no form says by how much
+_OF_VOLTS = (
+    "drive_nonlinearity",
+    "drive_amplitude_phase",
+    "drive_cross_nonlinearity",
+    "drive_sag",
+    "drive_saturation",
+    "drive_dead_zone",
+)
 #: what drifts in the stratum `drift`, standard deviations: frequency [rad/s^2], damping [1/s^2], temperature [K/s]
 _AGEING, _LEAK, _RAMP_K_PER_S = 2e-6, 1e-8, 3e-4
 
@@ -97,7 +106,7 @@ def prepare(trial: Trial, seed: int, quality: str = "standard") -> Prepared:
     unit = _unit(trial, seed)
     rng = np.random.default_rng([0x5EED, seed, trial.number])
     reference = _reference(trial.kind, seed, _unit_number(trial), quality) if trial.snr else None
-    sized = _sized(trial, reference, rng) if reference is not None else []
+    sized = _sized(trial, reference, rng, multiplexed=unit.device.multiplexing.enabled) if reference is not None else []
     like = {reported_name(s.name): imitators(reference, s) for s in sized} if reference is not None else {}
     without: tuple[str, ...] = ()
     if trial.stratum == "removed":
@@ -170,13 +179,13 @@ def _look(campaign: Campaign) -> CampaignModel:
     return look_at(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
 
 
-def _sized(trial: Trial, reference: CampaignModel, rng: np.random.Generator) -> list[Sized]:
+def _sized(trial: Trial, reference: CampaignModel, rng: np.random.Generator, *, multiplexed: bool) -> list[Sized]:
     """The first effects of the trial's order that a fair size gives their ratio, and that not everything imitates."""
     found: list[Sized] = []
     for name in trial.order:
         if len(found) == len(trial.snr):
             break
-        if any(reported_name(name) == reported_name(s.name) for s in found):
+        if any(reported_name(name) == reported_name(s.name) for s in found) or (multiplexed and name in _OF_VOLTS):
             continue
         sized = size_effect(reference, name, trial.snr[len(found)], rng)
         if sized is not None and (not found or _apart(reference, found[0], sized)):

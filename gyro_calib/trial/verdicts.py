@@ -54,6 +54,8 @@ class Verdict:
     chi2_after, dof : float
     elapsed_s : float
     error : str
+    extra : mapping
+        What else the diagnosis says of itself.
     """
 
     verdict: str

@@ -1,0 +1,62 @@
+"""What drifts slower than a record, and where the resonance lies while it is read: two things that passed for effects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.gap.columns import Column
+from gyro_calib.gap.model import look_at
+from gyro_calib.gap.relinearise import relinearised
+from gyro_calib.gap.slow import measured_drifts, with_drifts
+from gyro_calib.gap.system import Solution
+from gyro_calib.simulation import GyroSimulator
+
+
+def solution(sizes: dict[str, float], rng: np.random.Generator) -> Solution:
+    """Coefficients as a fit gives them that allows for drifts of unit size: flicker of the sizes that are given, known to a hundredth."""
+    columns, values = [], []
+    for family, size in sizes.items():
+        for axis in "xy":
+            for k in range(1, 9):
+                columns.append(Column(f"drift.{family}.{axis}.{k}", (), (), 1.0 / math.sqrt(k)))
+                values.append(size / math.sqrt(k) * rng.standard_normal() + 0.01 * rng.standard_normal())
+    covariance = np.diag(np.full(len(columns), 1e-4))
+    return Solution(tuple(columns), np.array(values), covariance, np.zeros(1), 0.0, np.zeros((1, 1)))
+
+
+def test_the_size_of_a_drift_is_measured_family_by_family() -> None:
+    truth = {"gain": 0.2, "strayc": 0.03}
+    found = [measured_drifts(solution(truth, np.random.default_rng(seed))) for seed in range(40)]
+    for family, size in truth.items():
+        # sixteen coefficients tell a size to a fifth
+        assert np.exp(np.mean([math.log(f[family]) for f in found])) == pytest.approx(size, rel=0.25)
+
+
+def test_what_does_not_drift_is_not_allowed_to() -> None:
+    found = [measured_drifts(solution({"gain": 0.0}, np.random.default_rng(seed)))["gain"] for seed in range(20)]
+    assert np.median(found) < 0.01
+    columns = solution({"gain": 0.0}, np.random.default_rng(0)).columns
+    assert all(c.prior_sd < 0.01 for c in with_drifts(columns, {"gain": float(np.median(found))}))
+
+
+def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of_the_moment() -> None:
+    """Its share is multiplied by all of the detuning: with the slope alone chi-square was a hundred times its degrees of freedom."""
+    truth = {"g_x": 2.0e-3, "g_y": -1.0e-3}
+    base = draw_unit(load_device("ring_15k"), 5)
+    device = replace(base, effects={"thermal_pickoff_gain": truth}, pickoff=replace(base.pickoff, gain_tempco_per_k=0.0))
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
+    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
+    factory = campaign.factory
+    model = look_at(list(campaign), math.pi * factory["nominal_f0_hz"] / factory["nominal_q"], factory["angular_gain_kappa"])
+    chosen = relinearised(model, [model.candidates["thermal_pickoff_gain"][0]])
+    fit = model.fitted(chosen)
+    assert fit.chi2 < 1.3 * fit.residual.size
+    for name, value in truth.items():
+        k = next(k for k, c in enumerate(fit.columns) if c.name == f"thermal_pickoff_gain.{name}")
+        assert fit.values[k] == pytest.approx(value, abs=4.0 * math.sqrt(fit.covariance[k, k]) + 0.02 * abs(value))
