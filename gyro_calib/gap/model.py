@@ -30,6 +30,19 @@ _WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 #: of the settings of a gridded effect, how many the saturated model holds
 _SATURATED_SETTINGS = 4
 
+#: effects with a memory, or that feed through
+_FAST = (
+    "drive_lag",
+    "drive_memory",
+    "pickoff_lag",
+    "pickoff_memory",
+    "channel_skew",
+    "relaxation",
+    "spurious_mode",
+    "thermal_feedthrough",
+    "parametric_pump",
+)
+
 
 @dataclass(frozen=True)
 class CampaignModel:
@@ -197,11 +210,12 @@ def _saturated(
 ) -> list[Column]:
     """Every effect at once, each of a size that it may have, and unnamed terms of rate.
 
-    Where no open drive of both axes told the feedthrough, the nuisances without it: in a closed loop the drive's noise follows from the
-    pick-off's, and a feedthrough or a lag that is free would explain the noise away.
+    Where no open drive of both axes told the feedthrough, without it and without what has a memory: in a closed loop the drive's noise
+    follows from the pick-off's, and a feedthrough or a lag that is free would explain the noise away.
     """
-    if not _open_drive(evidence):
-        return [c for c in nuisances if not c.name.startswith(("E_", "drive_lag"))]
     chosen = [c for tried in candidates.values() for c in tried[:: max(1, len(tried) // _SATURATED_SETTINGS)]]
+    if not _open_drive(evidence):
+        nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
+        chosen = [c for c in chosen if c.name not in _FAST]
     held = [c for c in effect_columns([*chosen, *turned]) if any(np.any(v) for v in c.signal)]
     return [*nuisances, *held]
