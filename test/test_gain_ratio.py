@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 from wave_samples import low_q_hrg, simulate, whole_angle
 
-from gyro_calib.device import Device, Nonlinearity
+from gyro_calib.device import Device, Nonlinearity, load_device
 from gyro_calib.errors import CalibrationRefused
 from gyro_calib.estimation.drive_chain import DriveChain, drive_chain_of
-from gyro_calib.estimation.gain_ratio import off_axis, reference_ratio, ring_gain, scale_factor, stiffness_gain
-from gyro_calib.experiments import SimulatedInstrument
+from gyro_calib.estimation.gain_ratio import off_axis, reference_ratio, ring_gain, scale_factor, stiffness_gain, without_feedthrough
+from gyro_calib.experiments import Limits, Plan, SimulatedInstrument, run_plan
+from gyro_calib.experiments.whole_angle_plans import scale_factor_steps
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.command import Command
 from gyro_calib.recording.recording import Recording
+from gyro_calib.simulation import GyroSimulator
 
 AXES = pytest.mark.parametrize(("axis", "k"), [("x", 0), ("y", 1)])
 #: metres of motion per pick-off volt of the packaged hemisphere
@@ -72,6 +74,25 @@ def test_ring_down_and_up_give_the_gain_of_either_axis_and_its_damping(axis: str
     blind = ring_gain(recordings, axis)
     assert abs(blind.gain.value / abs(flow.G[k, k]) - 1) < 2e-4
     assert 1.0 / found.t1_s > 1.0 / found.t2_s > 0.0
+
+
+def test_the_short_legs_of_a_ring_give_its_gain_with_the_feedthrough_taken_out() -> None:
+    device = load_device("ring_15k")
+    steps = [s for s in scale_factor_steps(device.factory(), "quick") if s.label in ("place_x", "ring_down_x", "ring_up_x")]
+    plan = Plan("ring", (*steps, *steps, *steps), Limits(base_rate_rad_s=10.0))
+    campaign = run_plan(SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier")), plan)
+    recordings = [r for r in campaign if r.command.mode.startswith("ring_")]
+    assert max(r.duration_s for r in recordings) < 0.6
+    flow, (chain, cross) = device.slow_flow(), known(device)
+    found = ring_gain(recordings, "x", chain=chain, cross_damping=cross, feedthrough=device.feedthrough_matrix())
+    true = abs(flow.G[0, 0])
+    assert abs(found.gain.value - true) < 60e-6 * true
+    assert found.gain.sd < 40e-6 * true
+    assert found.decay_rate.value == pytest.approx(-flow.A[0, 0].real, rel=2e-4)
+    # what the drives put straight onto the pick-offs is four parts in ten thousand of the drive, and gone
+    clean = without_feedthrough(recordings[0], device.feedthrough_matrix())
+    np.testing.assert_allclose(clean.pick + clean.drive @ device.feedthrough_matrix().T, recordings[0].pick, atol=1e-14)
+    np.testing.assert_array_equal(clean.drive, recordings[0].drive)
 
 
 def test_commanded_control_is_off_by_the_latency_of_the_loop_and_the_recorded_one_is_not() -> None:

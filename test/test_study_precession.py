@@ -58,14 +58,18 @@ def test_channels_agree(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_hardware_compensates_and_calms(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(precession_hardware, "_FREE_S", 260.0)
     monkeypatch.setattr(precession_hardware, "_PRECESSING_S", 700.0)
-    monkeypatch.setattr(precession_hardware, "_TAU_S", {"free": (16, 32, 64, 128), "precessing": (64, 128, 256, 330)})
+    monkeypatch.setattr(
+        precession_hardware, "_TAU_S", {"free": (16, 32, 64, 128), "precessing": (64, 128, 256, 330), "turned": (64, 128, 256, 330)}
+    )
     monkeypatch.setattr(precession_hardware, "_ROUNDS", 2)
     result = _result("precession-hardware", tmp_path)
     device = load_device("hrg_hardware")
     for k, name in enumerate(_wave.CHAIN):
         assert abs(float(result.figures[f"{name}/residual 2"][0])) < 5e-6 < 1e-3 * abs(_wave.true_chain(device)[k]) * 2
-    before, after = (float(result.figures[f"allan/precessing/{state}/330"][0]) for state in ("before", "compensated, drift out"))
-    assert before > 30.0 * after
+    for test, calm in (("precessing", "compensated, drift out"), ("turned", "product")):
+        before, after = (float(result.figures[f"allan/{test}/{state}/330"][0]) for state in ("before", calm))
+        assert before > 30.0 * after
+    assert float(result.figures["product/drift left [deg/h]"][0]) < 0.1
 
 
 def test_gain_ratio_follows_what_a_table_cannot(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from gyro_calib.recording.recording import Recording
 from gyro_calib.simulation.flicker import FLICKER_TIMES_S
 from gyro_calib.study import find_study
 
-WHITE = WaveNoise(1e-14, 0.0, 0.0, FLICKER_TIMES_S, 0.0, 60.0, (0.0, 0.0, 0.0))
+WHITE = WaveNoise(1e-14, 0.0, 0.0, FLICKER_TIMES_S)
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +44,34 @@ def test_white_forces_alone_give_the_fisher_information_of_the_rows(recordings: 
 
 
 def test_bound_scales_with_the_noise_and_not_with_the_blocks(recordings: list[Recording]) -> None:
-    noise = WaveNoise(3.4e-15, 4e-14, 1.4e-7, FLICKER_TIMES_S, 1e-3, 60.0, (2.7, 1e-5, 2e-4))
-    louder = replace(noise, force=4 * noise.force, pickoff=4 * noise.pickoff, flicker_v=2 * noise.flicker_v, wander_k=2 * noise.wander_k)
+    noise = WaveNoise(3.4e-15, 4e-14, 1.4e-7, FLICKER_TIMES_S)
+    louder = replace(noise, force=4 * noise.force, pickoff=4 * noise.pickoff, flicker_v=2 * noise.flicker_v)
     base = bound(recordings, noise)
     np.testing.assert_allclose(bound(recordings, louder), 4.0 * base, rtol=1e-6, atol=1e-9 * np.abs(base).max())
     sd, finer = np.sqrt(np.diag(base)), np.sqrt(np.diag(bound(recordings, noise, block_s=0.25)))
     np.testing.assert_allclose(finer, sd, rtol=0.12)
-    for part in ("force", "pickoff", "flicker_v", "wander_k"):
+    for part in ("force", "pickoff", "flicker_v"):
         less = np.sqrt(np.diag(bound(recordings, replace(noise, **{part: 0.0}))))
         assert np.all(less <= sd * (1.0 + 1e-5))
+
+
+def test_a_temperature_that_moves_costs_what_its_unknowns_do(recordings: list[Recording]) -> None:
+    moved = []
+    for k, r in enumerate(recordings):
+        data = r.data.copy()
+        data[:, 11] += 1e-3 * math.sin(2.0 * k) + 1e-4 * np.sin(0.3 * r.t)
+        moved.append(replace(r, data=data))
+    # as an unknown it scales out: a gyro that follows it strongly is known as well as one that hardly does
+    still, small, large = (np.diag(bound(r, WHITE)) for r in (recordings, moved, [_scaled(r, 10.0) for r in moved]))
+    assert np.all(small >= still * (1.0 - 1e-9))
+    assert np.any(small > 1.01 * still)
+    np.testing.assert_allclose(large, small, rtol=1e-4)
+
+
+def _scaled(recording: Recording, factor: float) -> Recording:
+    data = recording.data.copy()
+    data[:, 11] = 25.0 + factor * (data[:, 11] - 25.0)
+    return replace(recording, data=data)
 
 
 def test_recordings_that_excite_too_little_have_no_bound(recordings: list[Recording]) -> None:

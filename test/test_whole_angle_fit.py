@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,12 +16,17 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.device.operating_point import ftr_operating_point
 from gyro_calib.errors import CalibrationRefused
 from gyro_calib.estimation import CalibrationResult, calibrate
+from gyro_calib.estimation.drive_chain import drive_chain_of
 from gyro_calib.estimation.latency import loop_latency
+from gyro_calib.estimation.projection import test_functions as windows
+from gyro_calib.estimation.wave_projection import Products
+from gyro_calib.estimation.wave_slow import slow_forces
 from gyro_calib.estimation.whole_angle_fit import fit_whole_angle, usable_wave_recordings
-from gyro_calib.experiments import SimulatedInstrument, plan_by_name, run_plan, self_calibration_plan
+from gyro_calib.experiments import Limits, SimulatedInstrument, plan_by_name, run_plan, self_calibration_plan
 from gyro_calib.recording import load_campaign
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.simulation import GyroSimulator
+from gyro_calib.simulation.flicker import FlickerSource
 from gyro_calib.simulation.truth import Truth
 from gyro_calib.units import DEG_H
 
@@ -57,6 +63,60 @@ def test_a_constant_rate_goes_into_a_and_leaves_the_forcer_rotation_alone() -> N
     np.testing.assert_allclose(found[1].G, found[0].G, atol=2e-7)
     turned = (found[1].A - found[0].A).real
     np.testing.assert_allclose(turned, -4e-4 * np.array([[0, -1], [1, 0]]), atol=2e-7)
+
+
+def _warmed(rises_k: Sequence[float], *, recorded: bool) -> list[Recording]:
+    """One world per recording, its resonance and gain where the temperature puts them; the thermometer says so, or nothing."""
+    A, G = slow_flow()
+    world, runs = WaveWorld(A, G), []
+    plan = ({"precession": 4.0}, {"precession": -4.0}, {"precession": 2.0}, {}, {"gain": -2.0}, {"gain": 2.0}, {"precession": -2.0})
+    for options, rise in zip(plan, rises_k, strict=True):
+        world.A, world.G = A + 2.7j * rise * np.eye(2), G * (1.0 + 2e-4 * rise)
+        world.run(0.5)
+        r = world.run(12.0 if "precession" in options else 4.0, label=f"run_{len(runs)}", **options)
+        data = r.data.copy()
+        data[:, 11] = 25.0 + (rise if recorded else 0.0)
+        runs.append(replace(r, data=data))
+    return runs
+
+
+def test_a_gain_that_follows_a_recorded_temperature_is_taken_out() -> None:
+    rises = 0.2 * np.array([1.0, -1.0, 0.5, 0.0, -0.6, 0.8, -0.7])
+    rises -= rises.mean()
+    with_it, without = (fit_whole_angle(_warmed(rises, recorded=known), 0.084, terms=()).flow.values.G for known in (True, False))
+    true = slow_flow()[1]
+    # 2e-4 of the gain per kelvin, 0.2 K: 4e-5 of it
+    assert np.abs(with_it - true).max() < 0.4 * np.abs(without - true).max()
+    np.testing.assert_allclose(with_it, true, atol=2e-6 * np.abs(true).max())
+
+
+def test_the_step_of_multiplexed_drives_is_found_as_a_lag_of_one_control_period() -> None:
+    base = load_device("hrg_hardware")
+    device = replace(base, multiplexing=replace(base.multiplexing, enabled=True))
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(1), fidelity="slow_flow", noisy=False), 0.0)
+    plan = plan_by_name("virtual_precession", instrument.factory, quality="standard", limits=Limits(base_rate_rad_s=1.0))
+    estimate = fit_whole_angle(usable_wave_recordings(run_plan(instrument, plan))[0], device.resonator.decay_rate(), terms=())
+    assert estimate.drive_lag_s == pytest.approx(1.0 / device.electronics.control_rate_hz, rel=0.05)
+    found, true = (drive_chain_of(G) for G in (estimate.flow.values.G, device.slow_flow().G))
+    for name in ("delta_g", "two_delta", "two_lambda"):
+        assert getattr(found, name) == pytest.approx(getattr(true, name), abs=1.5e-6)
+
+
+def test_flicker_of_a_campaign_has_the_covariance_that_the_fit_takes_it_to_have() -> None:
+    world = WaveWorld(*slow_flow(), rate_hz=20.0)
+    recordings = [world.run(10.0), world.run(20.0)]
+    projected = [Products(r, world.omega0, 0.084).project([0.0, 0.1]) for r in recordings]
+    first, second = slow_forces(recordings, projected)
+    source = FlickerSource(np.random.default_rng(2), 1.0, 2000, 0.05)
+    noise = source.rows(sum(len(r) for r in recordings))
+    # what is slower than the campaign is an unknown of the fit: here the mean of all
+    noise = np.split(noise - noise.mean(axis=0), [len(recordings[0])])
+    seen = [windows(r.t, 0.05, [0.0, 0.1]).value[:2] @ n * 0.05 for r, n in zip(recordings, noise, strict=True)]
+    span = [windows(r.t, 0.05, [0.0, 0.1]).value[:2].sum(axis=1) * 0.05 for r in recordings]
+    apart = seen[0][0] / span[0][0] - seen[1][0] / span[1][0]
+    # one-sided density s^2/(f ln 4), the factor's is two-sided and of unit coefficient
+    factor = (first[0] / span[0][0] - second[0] / span[1][0]) / math.sqrt(2.0 * math.log(4.0))
+    assert float(np.sum(factor**2)) == pytest.approx(float(np.var(apart)), rel=0.2)
 
 
 def test_a_cubic_pick_off_is_found_named_and_taken_out() -> None:

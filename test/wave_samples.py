@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyro_calib.device import Device, load_device
+from gyro_calib.estimation.drive_chain import drive_chain_of
 from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.rate import wave_azimuth
 from gyro_calib.simulation import GyroSimulator
@@ -81,3 +82,11 @@ def unbalanced_hrg(**changes: float) -> Device:
     """A hemisphere at Q 2e5 whose unbalanced forcers make a bias of some 660 deg/h: quick to calibrate, much to gain."""
     device = low_q_hrg(**{**HARDWARE_ERRORS, **changes})
     return replace(device, device_id="hrg_low_q")
+
+
+def left_behind(device: Device, compensation: tuple[float, ...] = (1.0, 0.0, 0.0, 1.0)) -> np.ndarray:
+    """True dG, 2 delta, 2 lambda behind a compensation, over the true pattern of the damping: from the device itself."""
+    flow = device.slow_flow()
+    pattern = flow.A.real / flow.A[0, 0].real
+    chain = drive_chain_of(flow.G @ np.reshape(compensation, (2, 2)) @ np.linalg.inv(0.5 * (pattern + pattern.T)))
+    return np.array([chain.delta_g, chain.two_delta, chain.two_lambda])

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from ..errors import CalibrationRefused
 from ..recording.recording import Recording
+from .drive_chain import DriveChain
 from .precession import azimuth_fit
 
-__all__ = ["AngleDrift", "drift_compensation", "measured_drift"]
+__all__ = ["AngleDrift", "damping_pattern", "measured_drift"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -76,22 +77,16 @@ def measured_drift(forward: Recording, backward: Recording, kappa: float) -> Ang
     return AngleDrift(-(plus.coefficients + minus.coefficients) / kappa, (plus.covariance + minus.covariance) / kappa**2)
 
 
-def drift_compensation(A_at_rest: ComplexArray, G: ComplexArray) -> FloatArray:
-    """Drive compensation after which the amplitude drive undoes the damping in every direction, shape (2, 2), C_xx = 1.
+def damping_pattern(A_at_rest: ComplexArray) -> DriveChain:
+    """What the amplitude drive must do in every direction to give back what the damping takes there: the symmetric part of Re A over its
+    xx element, in the form of document 004's Eq. 8.
+
+    The antisymmetric part is left out: it turns the wave by the same everywhere, which is the rate's and the bias's business.
 
     Parameters
     ----------
     A_at_rest : ndarray, shape (2, 2), complex
         Slow flow without input rate [1/s].
-    G : ndarray, shape (2, 2), complex
-        Of the drive columns, as they act [1/s].
-
-    Raises
-    ------
-    CalibrationRefused
-        A drive chain that cannot be inverted.
     """
-    if abs(np.linalg.det(G)) < 0.1 * abs(G[0, 0] * G[1, 1]):
-        raise CalibrationRefused("Drive chain must be invertible, but its axes are nearly parallel. Look at its wiring first.")
-    matrix = -np.linalg.solve(1j * G, A_at_rest.real.astype(complex)).real
-    return np.asarray(matrix / matrix[0, 0])
+    damping = A_at_rest.real / A_at_rest[0, 0].real
+    return DriveChain(float(damping[1, 1]) - 1.0, math.atan(0.5 * float(damping[0, 1] + damping[1, 0])), 0.0)

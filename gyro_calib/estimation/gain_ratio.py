@@ -41,16 +41,20 @@ from ..recording.recording import Recording
 from .drive_chain import DriveChain
 from .stiffness_gain import stiffness_gain
 from .wave import Wave, wave_coordinates
-from .wave_drive import COUPLING_SD, SWITCHED, block_means, effective_drive, off_axis, wave_off_axis
+from .wave_drive import COUPLING_SD, block_means, effective_drive, off_axis, wave_off_axis, without_feedthrough
 
-__all__ = ["RingResult", "off_axis", "reference_ratio", "ring_gain", "scale_factor", "stiffness_gain"]
+__all__ = ["RingResult", "off_axis", "reference_ratio", "ring_gain", "scale_factor", "stiffness_gain", "without_feedthrough"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: blocks over which the amplitude is averaged [s]
 _RING_S = 0.4
-#: share of the largest drive ratio from which on a leg is a leg
-_LEG = 0.9
+#: share of the largest drive ratio from which on a leg is a leg, its least rows, rows whose ratio may be larger by chance
+_LEG, _LEAST_ROWS, _SPIKES = 0.9, 8, 2
+#: blocks that a leg has at least
+_LEG_BLOCKS = 8
+#: change of the drive ratio within a block, or to the next, over the largest, from which on it is being switched
+_SWITCHED = 0.03
 #: square of the drive ratio over the largest, below which the wave is being held, and how many steps of it show the feedthrough
 _HELD, _HELD_STEPS = 0.5, 4
 _NONLINEAR = ("nonlinear_damping", "pickoff_cubic")
@@ -92,6 +96,7 @@ def ring_gain(
     chain: DriveChain | None = None,
     cross_damping: float = 0.0,
     drive_amplitude_v: float | None = None,
+    feedthrough: ComplexArray | None = None,
 ) -> RingResult:
     """Gain of one axis from ring-down and ring-up of a wave on it (document 003, second method).
 
@@ -106,12 +111,17 @@ def ring_gain(
         Real part of A_xy + A_yx [1/s], where it is known: a wave that drifts off the axis decays at another rate.
     drive_amplitude_v : float, optional
         Drives at twice the frequency: nominal amplitude [V].
+    feedthrough : ndarray, shape (2, 2), complex, optional
+        E, where it was measured: what the drives put straight onto the pick-offs is taken out first. On a ring, whose legs are too short
+        to tell it from damping, it is 1e-4 of the gain.
 
     Raises
     ------
     CalibrationRefused
         No leg down or none up.
     """
+    if feedthrough is not None:
+        recordings = [without_feedthrough(r, feedthrough) for r in recordings]
     parts = [_ring_part(r, axis, chain, cross_damping, drive_amplitude_v) for r in recordings]
     legs = _legs(recordings, drive_amplitude_v)
     fit = _selected(parts)
@@ -176,7 +186,7 @@ def _ring_part(
     def passed(values: FloatArray) -> FloatArray:
         return np.concatenate([[0.0], np.cumsum(0.5 * row_s * (values[1:] + values[:-1]))])
 
-    width = max(2, round(min(_RING_S, wave.t.size * row_s / 12.0) * recording.sample_rate_hz))
+    width = max(2, min(round(_RING_S * recording.sample_rate_hz), _leg_rows(ratio).size // _LEG_BLOCKS))
     return _RingPart(
         log_amplitude=block_means(np.log(a) - passed(0.5 * cross_damping * np.sin(2.0 * wave.azimuth_rad)), width),
         columns={
@@ -193,6 +203,15 @@ def _ring_part(
     )
 
 
+def _full_ratio(ratio: FloatArray) -> float:
+    """Size of the ratio on the legs: the largest but for a few rows, however short the legs are in a recording."""
+    return float(np.sort(np.abs(ratio))[-min(_SPIKES + 1, ratio.size)])
+
+
+def _leg_rows(ratio: FloatArray) -> NDArray[np.intp]:
+    return np.flatnonzero(np.abs(ratio) > _LEG * _full_ratio(ratio))
+
+
 def _steady(ratio: FloatArray, width: int) -> NDArray[np.bool_]:
     """Steps between blocks in which the drive is not switched.
 
@@ -201,7 +220,7 @@ def _steady(ratio: FloatArray, width: int) -> NDArray[np.bool_]:
     count = ratio.size // width
     change = np.ptp(ratio[: count * width].reshape(count, width), axis=1)
     jump = np.abs(np.diff(block_means(ratio, width)))
-    limit = SWITCHED * float(np.max(np.abs(ratio)))
+    limit = _SWITCHED * float(np.max(np.abs(ratio)))
     return np.asarray((change[1:] < limit) & (change[:-1] < limit) & (jump < limit))
 
 
@@ -256,10 +275,10 @@ def _legs(recordings: Sequence[Recording], drive_amplitude_v: float | None) -> t
     for recording in recordings:
         wave = wave_coordinates(recording)
         ratio = _drive_ratio(wave, drive_amplitude_v)
-        largest = float(np.quantile(np.abs(ratio), 0.98))
+        largest = _full_ratio(ratio)
         for sign in (-1, 1):
             rows = sign * ratio > _LEG * largest
-            if rows.sum() > 0.2 * recording.sample_rate_hz and _is_leg(recording, sign):
+            if rows.sum() >= _LEAST_ROWS and _is_leg(recording, sign):
                 rates[sign] = float(np.polyfit(wave.t[rows] - wave.t[0], np.log(wave.amplitude_v[rows]), 1)[0])
                 commanded[sign] = _commanded(recording, sign) or float(np.median(ratio[rows]))
     if set(rates) != {-1, 1}:

@@ -6,8 +6,10 @@ Time domain, no projection, no frame of the wave, no weights of the estimator. W
     (V_(k+1) - V_k)/T + i <dw V>_w = A <V>_w + G~ <u>_w + E <L[u]>_w + noise,
 
 linear in what is sought, and the covariance of its noise is known in closed form from the device's densities: white forces, pick-off noise
-(a moving average of first order), flicker of the drives and a temperature that wanders (both correlated over the whole campaign, across
-recordings). The bound is ``(X^T C^-1 X)^-1`` with that dense C. What is left out: noise in the regressors, of second order.
+(a moving average of first order) and flicker of the drives (correlated over the whole campaign, across recordings). The temperature
+wanders too, but it is recorded: how resonance, damping and gain follow it are three more unknowns, and what is sought is A and G at the
+recordings' mean temperature. The bound is ``(X^T C^-1 X)^-1`` with that dense C. What is left out: noise in the regressors, of second
+order.
 """
 
 from __future__ import annotations
@@ -47,38 +49,23 @@ class WaveNoise:
         Standard deviation of each Ornstein-Uhlenbeck part of the stray drive [V].
     flicker_times_s : ndarray
         Their correlation times [s].
-    wander_k, wander_time_s : float
-        Of the temperature [K], [s].
-    per_k : tuple of 3 float
-        How the resonance [rad/s/K], the damping 1/tau [1/s/K] and the gain (relative) [1/K] follow it.
     """
 
     force: float
     pickoff: float
     flicker_v: float
     flicker_times_s: FloatArray
-    wander_k: float
-    wander_time_s: float
-    per_k: tuple[float, float, float]
 
     @classmethod
     def of(cls, device: Device, temperature_degc: float, flicker_times_s: FloatArray) -> WaveNoise:
         """From a device file and the correlation times of the simulated flicker."""
-        density, resonator, decay = device_noise_density(device, temperature_degc), device.resonator, device.resonator.decay_rate()
+        density, decay = device_noise_density(device, temperature_degc), device.resonator.decay_rate()
         pickoff = device.noise.pickoff_v_rthz**2
-        warmer = resonator.decay_rate(temperature_degc + 0.5) - resonator.decay_rate(temperature_degc - 0.5)
         return cls(
             force=density(0.0) - pickoff * decay**2,
             pickoff=pickoff,
             flicker_v=device.noise.drive_flicker_v,
             flicker_times_s=flicker_times_s,
-            wander_k=device.environment.wander_k,
-            wander_time_s=device.environment.wander_time_s,
-            per_k=(
-                resonator.frequency_tempco_per_k * resonator.omega0_rad_s,
-                warmer,
-                device.drive.gain_tempco_per_k + device.pickoff.gain_tempco_per_k,
-            ),
         )
 
 
@@ -113,7 +100,8 @@ def wave_bound(
     numpy.linalg.LinAlgError
         The recordings do not excite every parameter.
     """
-    blocks = [_Blocks.of(r, omega0_rad_s, block_s, has_feedthrough, bodies) for r in recordings]
+    mean_degc = float(np.mean([r.temperature_degc.mean() for r in recordings]))
+    blocks = [_Blocks.of(r, omega0_rad_s, block_s, has_feedthrough, bodies, mean_degc) for r in recordings]
     design = np.vstack([b.columns for b in blocks])
     count, unknowns = design.shape
     both = _real(design)
@@ -121,12 +109,24 @@ def wave_bound(
     # axis x, then axis y: their unknowns are apart, their noise is not (one temperature moves both)
     stacked = np.zeros((4 * count, 4 * unknowns))
     stacked[: 2 * count, : 2 * unknowns], stacked[2 * count :, 2 * unknowns :] = both, both
+    # columns that vanish belong to a temperature that stood still
+    warm = [c for c in _warm_columns(blocks, flow[1]) if np.any(c)]
+    stacked = np.column_stack([stacked, *warm])
     white = linalg.solve_triangular(linalg.cholesky(covariance, lower=True, overwrite_a=True), stacked, lower=True)
     scale = np.linalg.norm(white, axis=0)
     information = (white / scale).T @ (white / scale)
     if not np.linalg.cond(information) < 1e14:
         raise np.linalg.LinAlgError("The recordings do not excite every parameter: the bound does not exist.")
-    return np.asarray(np.linalg.inv(information) / np.outer(scale, scale))
+    bound = np.linalg.inv(information) / np.outer(scale, scale)
+    return np.asarray(bound[: 4 * unknowns, : 4 * unknowns])
+
+
+def _warm_columns(blocks: list[_Blocks], G: ComplexArray) -> list[FloatArray]:
+    """What a change of resonance, damping and gain per kelvin adds to all equations, and a temperature that is recorded late: real
+    unknowns that both axes share.
+    """
+    V, late, driven = (np.concatenate([b.warm[k] for b in blocks]) for k in range(3))
+    return [np.concatenate([m[:, 0].real, m[:, 0].imag, m[:, 1].real, m[:, 1].imag]) for m in (1j * V, V, 1j * late, driven @ G.T)]
 
 
 def _real(design: ComplexArray) -> FloatArray:
@@ -140,16 +140,15 @@ def _real(design: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """One recording in overlapping triangles: centres, regressors, and what its noise needs."""
+    """One recording in overlapping triangles: centres, regressors, pick-offs and drives times the rise of temperature, mean detuning."""
 
     centre_s: FloatArray
     columns: ComplexArray
-    pick: ComplexArray
-    drive: ComplexArray
+    warm: tuple[ComplexArray, ComplexArray, ComplexArray]
     detuning: float
 
     @classmethod
-    def of(cls, r: Recording, omega0: float, block_s: float, has_feedthrough: bool, bodies: list[float]) -> _Blocks:
+    def of(cls, r: Recording, omega0: float, block_s: float, has_feedthrough: bool, bodies: list[float], mean_degc: float) -> _Blocks:
         width = max(1, round(block_s * r.sample_rate_hz))
         count = len(r) // width
 
@@ -174,7 +173,10 @@ class _Blocks:
         body = [excitation.volts * (excitation.kind == "body" and excitation.frequency_hz == f) for f in bodies]
         if bodies:
             columns.append(np.tile(np.array(body, dtype=complex), (count - 1, 1)))
-        return cls(triangles(r.t[:, None].astype(complex))[:, 0].real, np.hstack(columns), columns[0], columns[1], float(np.mean(detuning)))
+        rise = (r.temperature_degc - mean_degc)[:, None]
+        change = np.gradient(rise, 1.0 / r.sample_rate_hz, axis=0)
+        warm = triangles(rise * r.pick), triangles(change * r.pick), triangles(rise * r.drive)
+        return cls(triangles(r.t[:, None].astype(complex))[:, 0].real, np.hstack(columns), warm, float(np.mean(detuning)))
 
 
 def _covariance(blocks: list[_Blocks], noise: WaveNoise, flow: tuple[ComplexArray, ComplexArray], block_s: float) -> FloatArray:
@@ -195,14 +197,7 @@ def _covariance(blocks: list[_Blocks], noise: WaveNoise, flow: tuple[ComplexArra
         common[place, place] += white * (2.0 / 3.0 * np.eye(n) + near / 6.0) / block_s
         common[place, place] += noise.pickoff * (2.0 * np.eye(n) - near) / block_s**3
         first += n
-    total = np.asarray(linalg.block_diag(common, common, common, common))
-    if noise.wander_k > 0.0:
-        resonance, damping, relative = noise.per_k
-        moved = [(1j * resonance - damping) * b.pick + relative * b.drive @ flow[1].T for b in blocks]
-        push = np.concatenate(moved)
-        flat = np.concatenate([push[:, 0].real, push[:, 0].imag, push[:, 1].real, push[:, 1].imag])
-        total += np.outer(flat, flat) * np.tile(noise.wander_k**2 * np.exp(-apart / noise.wander_time_s), (4, 4))
-    return total
+    return np.asarray(linalg.block_diag(common, common, common, common))
 
 
 def _averaged(apart: FloatArray, tau: float, block_s: float) -> FloatArray:

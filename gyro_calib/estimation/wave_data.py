@@ -14,7 +14,8 @@ from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis, fit_noise
 from .wave_layout import Layout
 from .wave_lines import quiet_lines, role_of, signal_lines
 from .wave_projection import CHANNELS, Products, WaveProjected, in_wave_frame
-from .wave_terms import derived_signals, plain_signals
+from .wave_slow import slow_forces
+from .wave_terms import derived_signals, plain_signals, warm_signals
 
 __all__ = ["Excess", "Noise", "WaveData"]
 
@@ -33,26 +34,15 @@ _COMMON = 0.3
 #: variance of the means of records some ten of their lengths apart over the coefficient of flicker: 2 ln 10
 _BETWEEN = 4.6
 #: below this span the resonance is not regressed on temperature [K]; how far it wanders at least [rad/s]
-_TEMPERATURE_SPAN_K, _LEAST_WANDER_RAD_S = 0.1, 1e-3
+_TEMPERATURE_SPAN_K, _LEAST_WANDER_RAD_S = 0.1, 1e-7
 #: an equation of which the fit leaves less of its noise than this says nothing of it
 _LEAST_SHARE = 0.2
 #: wander of the gain before a fit has shown it, relative
 _GAIN_WANDER, _LEAST_GAIN_WANDER = 1e-6, 1e-9
+#: relative change of a gain over that of the frequency, when the same temperature moves both: some 1e-4 and 1e-4 per kelvin
+_GAIN_OVER_FREQUENCY = 3.0
 #: recordings that show how it wanders
 _LEAST_RECORDINGS = 4
-
-
-@dataclass(frozen=True)
-class _Wander(NoiseModel):
-    """A resonance that walks at random: density ``c_0/f^2``, which no quiet line may be taken to end."""
-
-    def density(self, frequency_hz: FloatArray, slope_hz: FloatArray | None = None) -> FloatArray:
-        return np.asarray(self.coefficients[0] / np.maximum(np.abs(frequency_hz), self.lowest_hz) ** 2)
-
-    @classmethod
-    def of(cls, frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float) -> _Wander:
-        """Maximum likelihood from squared projections."""
-        return cls((float(np.mean(squares * frequency_hz**2)), 0.0, 0.0), lowest_hz)
 
 
 @dataclass(frozen=True)
@@ -71,6 +61,8 @@ class WaveData:
     base : Layout
         Unknowns without cubic terms.
     signal, quiet : list of WaveProjected
+    slow : list of ndarray, shape (2 m, q)
+        What unit sources of flicker that all recordings share add to a recording's equations at its signal lines, see :func:`.slow_forces`.
     """
 
     recordings: list[Recording]
@@ -80,6 +72,7 @@ class WaveData:
     base: Layout
     signal: list[WaveProjected]
     quiet: list[WaveProjected]
+    slow: list[FloatArray]
 
     @classmethod
     def of(cls, recordings: list[Recording], decay_rate: float, drive_amplitude_v: float | None) -> WaveData:
@@ -88,28 +81,29 @@ class WaveData:
         omega0 = float(np.mean([r.ref_omega_rad_s.mean() for r in closed]))
         slope, middle, wander = _resonance_motion(closed)
         signal, quiet = [], []
+        mean_degc = float(np.mean([r.temperature_degc.mean() for r in recordings]))
         for r in recordings:
             products = Products(
                 r,
                 omega0,
                 decay_rate,
                 slope * (r.temperature_degc - middle),
-                plain=plain_signals(),
+                plain=plain_signals() | warm_signals(r.temperature_degc - mean_degc, 1.0 / r.sample_rate_hz),
                 derived=derived_signals(),
                 drive_scale=None if drive_amplitude_v is None else np.linalg.norm(r.pick, axis=1) / drive_amplitude_v,
             )
             lines = signal_lines(r, products.speed_rad_s)
             signal.append(products.project(lines))
             quiet.append(products.project(quiet_lines(r, max(lines), products.speed_rad_s)))
-        return cls(recordings, omega0, wander, _GAIN_WANDER, Layout.of(recordings, omega0, _farthest(signal)), signal, quiet)
+        layout = Layout.of(recordings, omega0, _farthest(signal))
+        return cls(recordings, omega0, wander, _GAIN_WANDER, layout, signal, quiet, slow_forces(recordings, signal))
 
     def subset(self, indices: list[int]) -> WaveData:
         """The same for some of the recordings."""
         recordings = [self.recordings[i] for i in indices]
         signal, quiet = ([projected[i] for i in indices] for projected in (self.signal, self.quiet))
-        return WaveData(
-            recordings, self.omega0, self.wander, self.gain_wander, Layout.of(recordings, self.omega0, _farthest(signal)), signal, quiet
-        )
+        layout, slow = Layout.of(recordings, self.omega0, _farthest(signal)), [self.slow[i] for i in indices]
+        return WaveData(recordings, self.omega0, self.wander, self.gain_wander, layout, signal, quiet, slow)
 
     def with_wander(self, solution: LinearFit) -> WaveData:
         """The same with the wander that a fit shows: what it leaves to each closed-loop recording, over the number of those that say
@@ -124,12 +118,14 @@ class WaveData:
         assumed = np.array([self.wander, self.gain_wander])
         told = np.sum(np.maximum(1.0 - (own[:, :, 1] / assumed) ** 2, 0.0), axis=0)
         factor = np.sqrt(np.sum((own[:, :, 0] / assumed) ** 2, axis=0) / np.maximum(told, 1e-3))
-        wander, gain = assumed * np.clip(factor, 0.3, 3.0)
-        return replace(self, wander=max(float(wander), _LEAST_WANDER_RAD_S), gain_wander=max(float(gain), _LEAST_GAIN_WANDER))
+        wander, gain = (float(v) for v in assumed * np.clip(factor, 0.1, 3.0))
+        # a few recordings cannot show a wander of the gain that matters: what moves the resonance is taken to move the gain, too
+        least = max(_LEAST_GAIN_WANDER, _GAIN_OVER_FREQUENCY * wander / self.omega0)
+        return replace(self, wander=max(wander, _LEAST_WANDER_RAD_S), gain_wander=max(gain, least))
 
     def solve(self, layout: Layout, noise: Noise, excess: Excess, last: LinearFit | None, flicker: float = 0.0) -> LinearFit:
         """Weighted least squares; A, G and E of a round before (``last``) enter the small corrections, ``flicker`` is by how much the force
-        that does not follow the wave differs between recordings [V/s].
+        that does not follow the wave flickers: density ``flicker / f`` [V^2/s^2].
         """
         equations = []
         spread = np.array([self.wander, self.wander, self.gain_wander])
@@ -146,37 +142,26 @@ class WaveData:
                     # every resonance is its own, near that of the others; the wave's also moves steadily, and its drives' gain wanders
                     detuning=np.column_stack([p.resonance, layout.pushed(p, before)]) if in_wave_frame(r) else p.resonance[:, :1],
                     detuning_sd=spread if in_wave_frame(r) else self.wander,
-                    covariance=self.covariance(i, noise, excess, flicker),
+                    covariance=self.covariance(i, noise, excess),
+                    shared=math.sqrt(flicker) * self.slow[i] if flicker > 0.0 else None,
                 )
             )
         return fit_axis(equations)
 
-    def _common(self, index: int, flicker: float) -> FloatArray | None:
-        """Covariance of a recording's equations from forces that do not follow the wave: flicker of density ``flicker / f`` [V^2/s^2].
-
-        Seen from a wave that turns it lies at the odd harmonics of psi, from one that stands at its mean.
-        """
-        if flicker <= 0.0 or not in_wave_frame(self.recordings[index]):
-            return None
-        p = self.signal[index]
-        slowest = 1.0 / (_BETWEEN * self.recordings[index].duration_s)
-        return np.asarray((p.slow * (flicker / np.maximum(p.slow_hz, slowest))) @ p.slow.T)
-
-    def without_flicker(self, index: int, left: ComplexArray, noise: Noise, excess: Excess, flicker: float) -> ComplexArray:
+    def without_flicker(self, index: int, solution: LinearFit) -> ComplexArray:
         """Residuals less the flicker that they most probably hold."""
-        common = self._common(index, flicker)
-        if common is None:
-            return left
-        total = self.covariance(index, noise, excess, flicker)
-        re, im = (part - common @ np.linalg.solve(c, part) for part, c in zip((left.real, left.imag), total, strict=True))
-        return np.asarray(re + 1j * im)
+        left = solution.residuals[index]
+        return left - solution.shared[index] if solution.shared else left
 
-    def flicker(self, noise: Noise, excess: Excess, solution: LinearFit) -> float:
+    def flicker(self, noise: Noise, excess: Excess, solution: LinearFit, last: float) -> float:
         """Flicker of forces that do not follow the wave: by how much their means differ between recordings, beyond their noise [V^2/s^2].
 
         Read from what the fit leaves of waves that turned by more than half a turn of psi: only there does it not pass for damping. A few
-        means say little of their spread: one standard deviation of it is added.
+        means say little of their spread: one standard deviation of it is added. That is where to start from: with it in the covariance,
+        the solution says itself by how much it was off.
         """
+        if solution.shared:
+            return last * float(np.clip(solution.shared_growth, 0.3, 3.0))
         squares, chance = [], []
         for i, (p, left) in enumerate(zip(self.signal, solution.residuals, strict=True)):
             if p.turn_rad < math.pi or not in_wave_frame(self.recordings[i]):
@@ -210,16 +195,14 @@ class WaveData:
             sd[place] = parts[0] + 1j * parts[1]
         return sd
 
-    def covariance(
-        self, index: int, noise: Noise, excess: Mapping[tuple[int, str], float], flicker: float
-    ) -> tuple[FloatArray, FloatArray]:
+    def covariance(self, index: int, noise: Noise, excess: Mapping[tuple[int, str], float]) -> tuple[FloatArray, FloatArray]:
         """Covariance of the real parts of a recording's equations, and of their imaginary ones.
 
         Pick-off noise enters by the slopes of the test functions: at the carrier line that is the rise of the window, which smoother sums
         of several lines avoid. Counted by the frequency of the line alone, it would cost most of what a short recording says.
         """
         p = self.signal[index]
-        half, common = p.lhs.size // 2, self._common(index, flicker)
+        half = p.lhs.size // 2
         parts = []
         for k in range(2):
             flat, steep = np.empty(2 * half), np.empty(2 * half)
@@ -228,8 +211,7 @@ class WaveData:
                 model, more = noise.get((index, channel), _UNKNOWN.get(channel, _FLAT)), excess.get((index, channel), 1.0)
                 flat[place] = np.sqrt(model.density(p.frequency_hz[place], np.zeros(half)) * more)
                 steep[place] = math.sqrt(model.coefficients[2] * more) / (2.0 * math.pi)
-            total = p.gram * np.outer(flat, flat) + p.slope_gram * np.outer(steep, steep)
-            parts.append(total if common is None else total + common)
+            parts.append(p.gram * np.outer(flat, flat) + p.slope_gram * np.outer(steep, steep))
         return parts[0], parts[1]
 
     def quiet_noise(self, layout: Layout, solution: LinearFit) -> Noise:
@@ -239,16 +221,13 @@ class WaveData:
             lowest = 0.3 / self.recordings[i].duration_s
             for k, channel in enumerate(CHANNELS):
                 squares = _part(left, k) ** 2
-                if self._wanders(i, channel):
-                    noise[i, channel] = _Wander.of(lines, squares, lowest)
-                    continue
                 model = fit_noise(lines, squares, lowest, slopes)
                 # what grows with frequency at the quiet lines hides what does not: as much may be there as they would not have shown
                 floor = _COMMON * model.coefficients[2] * float(lines.min()) ** 2
                 noise[i, channel] = replace(model, coefficients=(max(model.coefficients[0], floor), *model.coefficients[1:]))
         return noise
 
-    def noise(self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> Noise:
+    def noise(self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess]) -> Noise:
         """Noise that the fit is weighed with: of all recordings of one role together, what the fit leaves at the signal's lines included.
 
         Only so are the low lines seen, where the force noise lies under the pick-off's at every quiet line. Together, and not far below
@@ -263,17 +242,13 @@ class WaveData:
             longest[role_of(r)] = max(longest.get(role_of(r), 0.0), r.duration_s)
         found: Noise = {}
         for channel in CHANNELS:
-            waves = [i for i, r in enumerate(self.recordings) if in_wave_frame(r) and not self._wanders(i, channel)]
+            waves = [i for i, r in enumerate(self.recordings) if in_wave_frame(r)]
             common = _pooled([samples[i, channel] for i in waves], max(longest.values())) if waves else None
             roles = {
                 role: _pooled([samples[i, channel] for i, r in enumerate(self.recordings) if role_of(r) == role], length)
                 for role, length in longest.items()
             }
             for i, r in enumerate(self.recordings):
-                if self._wanders(i, channel):
-                    f, _, squares = samples[i, channel]
-                    found[i, channel] = _Wander.of(f, squares, 0.3 / r.duration_s)
-                    continue
                 if "applied_rate" in r.extras:
                     # a table's course is never quite what it is said to be: what the quiet lines leave counts at all lines
                     found[i, channel] = quiet[i, channel]
@@ -281,30 +256,25 @@ class WaveData:
                 found[i, channel] = _not_below(roles[role_of(r)], common) if common and in_wave_frame(r) else roles[role_of(r)]
         return found
 
-    def _samples(self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> dict[tuple[int, str], Samples]:
-        """Lines, slopes and squared residuals of each recording and channel; of a wandering resonance at the quiet lines only."""
+    def _samples(self, layout: Layout, solution: LinearFit, weights: tuple[Noise, Excess]) -> dict[tuple[int, str], Samples]:
+        """Lines, slopes and squared residuals of each recording and channel."""
         quiet = self._quiet_residuals(layout, solution)
         samples = {}
         for i, (p, r) in enumerate(zip(self.signal, self.recordings, strict=True)):
             lines, slopes, left = quiet[i]
             own = p.frequency_hz[: p.lhs.size // 2]
             low = own > 0.7 / r.duration_s
-            clean = self.without_flicker(i, solution.residuals[i], *weights)
+            clean = self.without_flicker(i, solution)
             sd = self.deviations(i, weights[0], weights[1])
             for k, channel in enumerate(CHANNELS):
-                f, steep, squares = lines, slopes, _part(left, k) ** 2
-                if not self._wanders(i, channel):
-                    # the lowest lines determine the unknowns, so that little of their noise is left to see
-                    share = 1.0 - _part(solution.explained[i], k) / _part(sd, k) ** 2
-                    seen = low & (share > _LEAST_SHARE)
-                    f = np.concatenate([f, own[seen]])
-                    steep = np.concatenate([steep, p.slope_hz[: own.size][seen]])
-                    squares = np.concatenate([squares, _part(clean, k)[seen] ** 2 / share[seen]])
+                # the lowest lines determine the unknowns, so that little of their noise is left to see
+                share = 1.0 - _part(solution.explained[i], k) / _part(sd, k) ** 2
+                seen = low & (share > _LEAST_SHARE)
+                f = np.concatenate([lines, own[seen]])
+                steep = np.concatenate([slopes, p.slope_hz[: own.size][seen]])
+                squares = np.concatenate([_part(left, k) ** 2, _part(clean, k)[seen] ** 2 / share[seen]])
                 samples[i, channel] = (f, steep, squares)
         return samples
-
-    def _wanders(self, index: int, channel: str) -> bool:
-        return channel == "frequency" and in_wave_frame(self.recordings[index])
 
     def _quiet_residuals(self, layout: Layout, solution: LinearFit) -> list[tuple[FloatArray, FloatArray, ComplexArray]]:
         """Lines, slopes there, and what the model leaves, by recording."""
@@ -317,20 +287,20 @@ class WaveData:
             for p, r in zip(self.quiet, self.recordings, strict=True)
         ]
 
-    def scores(self, noise: Noise, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> dict[tuple[int, str], tuple[float, int]]:
+    def scores(self, noise: Noise, solution: LinearFit) -> dict[tuple[int, str], tuple[float, int]]:
         """Sum of the squared residuals at a recording's signal lines over their measured noise, and their number, by channel."""
         total = {}
-        for i, found in enumerate(solution.residuals):
-            left = self.without_flicker(i, found, *weights)
+        for i in range(len(self.recordings)):
+            left = self.without_flicker(i, solution)
             sd = self.deviations(i, noise, {})
             for k, channel in enumerate(CHANNELS):
                 ratio = _part(left, k) / _part(sd, k)
                 total[i, channel] = (float(ratio @ ratio), ratio.size)
         return total
 
-    def excess(self, noise: Noise, solution: LinearFit, weights: tuple[Noise, Excess, float]) -> Excess:
+    def excess(self, noise: Noise, solution: LinearFit) -> Excess:
         """How much more noise there is where the signal is than the quiet lines tell, where that is beyond chance; else one."""
-        scores = self.scores(noise, solution, weights)
+        scores = self.scores(noise, solution)
         spare = solution.dof / max(sum(count for _, count in scores.values()), 1)
         out = {}
         for key, (squares, count) in scores.items():
@@ -353,7 +323,9 @@ def _not_below(model: NoiseModel, common: NoiseModel) -> NoiseModel:
     """A role's noise with its force noise and flicker not far below the common ones."""
     white, flicker, pickoff = model.coefficients
     return replace(
-        model, coefficients=(max(white, _COMMON * common.coefficients[0]), max(flicker, _COMMON * common.coefficients[1]), pickoff)
+        model,
+        coefficients=(max(white, _COMMON * common.coefficients[0]), max(flicker, _COMMON * common.coefficients[1]), pickoff),
+        walk=max(model.walk, _COMMON * common.walk),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from ..recording.recording import Recording
 from .drive_chain import DriveChain
 from .wave import Wave, wave_coordinates
 
-__all__ = ["COUPLING_SD", "SWITCHED", "block_means", "effective_drive", "off_axis", "wave_off_axis"]
+__all__ = ["COUPLING_SD", "SWITCHED", "block_means", "effective_drive", "off_axis", "wave_off_axis", "without_feedthrough"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -33,6 +34,7 @@ def off_axis(recording: Recording, axis: str) -> float:
 
 
 def wave_off_axis(wave: Wave, axis: str) -> float:
+    """:func:`off_axis` of a wave that is known [rad]."""
     psi = float(np.mean(wave.azimuth_rad)) - (0.5 * math.pi if axis == "y" else 0.0)
     return (psi + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
@@ -49,3 +51,11 @@ def effective_drive(wave: Wave, axis: str, chain: DriveChain | None) -> ComplexA
     across = np.stack([-n[1], n[0]])
     pushed = chain.matrix @ (wave.drive_along * n + wave.drive_across * across)
     return np.asarray(np.sum(n * pushed, axis=0) / (1.0 if axis == "x" else 1.0 + chain.delta_g))
+
+
+def without_feedthrough(recording: Recording, feedthrough: ComplexArray) -> Recording:
+    """The recording with pick-offs ``V - E u``: what the drives put straight onto them taken out; ``feedthrough``: E, shape (2, 2)."""
+    data = recording.data.copy()
+    clean = recording.pick - recording.drive @ np.asarray(feedthrough).T
+    data[:, 2:6:2], data[:, 3:6:2] = clean.real, clean.imag
+    return replace(recording, data=data)

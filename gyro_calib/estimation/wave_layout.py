@@ -17,6 +17,8 @@ __all__ = ["Layout"]
 ComplexArray = NDArray[np.complex128]
 #: ratio of the farthest to the nearest open drive from which on a feedthrough and a resonance that moved look different
 _APART = 2.5
+#: recordings, and spread of their temperatures [K], from which on A and G may follow it
+_LEAST_WARM, _LEAST_SPREAD_K = 6, 1e-6
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Layout:
     rate (xx, xy, yx, yy), then the nuisances: the force that does not follow the wave (2), the lag of the drives behind their record times
     minus the mean gain (1),
     the change of E with frequency over the resonance's (4), the shift of the resonance while the drives were open (1),
-    the time shift of the table (4); last the cubic terms.
+    the time shift of the table (4), how A and the gain follow the temperature (2), and A its change (1); last the cubic terms.
 
     Parameters
     ----------
@@ -41,7 +43,7 @@ class Layout:
         reference by
         the forcers) shows, and would pass for damping of a wave that stands.
     lagging : bool
-        Drives changed: a record that is a sample early or late shows (and would pass for feedthrough).
+        Drives changed, or the wave turned under them: a record that is a sample early or late shows (and would pass for feedthrough).
     jerked : bool
         It changed during a recording.
     dispersive : bool
@@ -49,6 +51,11 @@ class Layout:
         shows, and would bend E if it were left out.
     shifted : bool
         Those distances differ in size: a resonance that had moved while the drives were open (all of those records share that) shows.
+    warmed : bool
+        The temperature differed between the recordings: how A and G follow it are unknowns, or its wander would be noise that lasts as
+        long as a recording.
+    warming : bool
+        It also changed within recordings: a thermometer that is late shows.
     terms : tuple of Term
     """
 
@@ -61,6 +68,8 @@ class Layout:
     jerked: bool = False
     dispersive: bool = False
     shifted: bool = False
+    warmed: bool = False
+    warming: bool = False
     terms: tuple[Term, ...] = ()
 
     @classmethod
@@ -69,16 +78,19 @@ class Layout:
         open_drive = [r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "drive"]
         away = [abs(f - omega0_rad_s / (2.0 * np.pi)) for f in open_drive]
         turned = [r for r in recordings if "applied_rate" in r.extras]
+        warmed = len(recordings) >= _LEAST_WARM and _spread_k(recordings) > _LEAST_SPREAD_K
         return cls(
             omega0_rad_s=omega0_rad_s,
             has_feedthrough=bool(open_drive),
             bodies=tuple(sorted({r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "body"})),
             turned=bool(turned),
             picked_up=turn_rad > np.pi,
-            lagging=any(r.command.mode != "loops_off" for r in recordings) and bool(open_drive),
+            lagging=any(r.command.mode != "loops_off" for r in recordings) and (bool(open_drive) or turn_rad > np.pi),
             jerked=any(_changes(r) for r in turned),
             dispersive=len({round(f, 3) for f in open_drive}) > 1,
             shifted=bool(away) and max(away) > _APART * min(away),
+            warmed=warmed,
+            warming=warmed and any(np.ptp(r.temperature_degc) > _LEAST_SPREAD_K for r in recordings),
         )
 
     @property
@@ -99,13 +111,23 @@ class Layout:
         return slice(first, first + int(self.lagging))
 
     def term(self, name: str) -> slice:
-        """Place of a cubic term."""
-        first = self.lag.stop + 4 * int(self.dispersive) + int(self.shifted) + 4 * int(self.jerked)
+        """Place of a cubic term.
+
+        Raises
+        ------
+        KeyError
+            The layout has no term of that name.
+        """
+        first = self.lag.stop + 4 * int(self.dispersive) + int(self.shifted) + 4 * int(self.jerked) + self._warm_columns
         for term in self.terms:
             if term.name == name:
                 return slice(first, first + len(term.coefficients))
             first += len(term.coefficients)
         raise KeyError(name)
+
+    @property
+    def _warm_columns(self) -> int:
+        return 2 * int(self.warmed) + int(self.warming)
 
     def flow(self, coefficients: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """A and E, shape (2, 2) each (E zero when it is not an unknown)."""
@@ -147,6 +169,12 @@ class Layout:
             parts.append((1j if excitation.kind == "drive" else 0.0) * p.resonance[:, :1])
         if self.jerked:
             parts.append(p.jerk.reshape(count, 4))
+        if self.warmed:
+            moved = p.terms["warm"][:, 0] - np.einsum("jab,ab->j", _by_axes(p.terms["warm_drive"]), E)
+            pushed = np.einsum("jab,ab->j", _by_axes(p.terms["warm_drive"]), self._directions(before))
+            parts.append(np.column_stack([moved, pushed]))
+        if self.warming:
+            parts.append(p.terms["warm"][:, 1:])
         parts += [term.columns(p.terms, A) for term in self.terms]
         return np.hstack(parts)
 
@@ -174,6 +202,15 @@ class Layout:
         if any(term.name == "pickoff_cubic" for term in self.terms):
             bend = before[self.term("pickoff_cubic")]
         return *self.flow(before), bend
+
+
+def _by_axes(values: ComplexArray) -> ComplexArray:
+    """Signals (x on x, x on y, y on x, y on y) as [equation, axis a, column b]."""
+    return np.asarray(values.reshape(-1, 2, 2).swapaxes(1, 2))
+
+
+def _spread_k(recordings: Sequence[Recording]) -> float:
+    return float(np.std([r.temperature_degc.mean() for r in recordings]))
 
 
 def _changes(recording: Recording) -> bool:

@@ -24,7 +24,7 @@ from ..recording.recording import Recording
 from .projection import hold_factor, test_functions
 from .wave import smooth_azimuth, wave_coordinates
 
-__all__ = ["CHANNELS", "Products", "WaveProjected", "frame_directions", "in_wave_frame", "spectral_derivatives", "thin"]
+__all__ = ["CHANNELS", "Products", "WaveProjected", "frame_directions", "in_wave_frame", "slow_waves", "spectral_derivatives", "thin"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -161,7 +161,7 @@ class Products:
         body = complex(excitation.volts) if excitation.kind == "body" else 0j
         time = np.linspace(-1.0, 1.0, len(recording))[:, None]
         self._t = thin(recording.t, self._width)
-        slow, self._slow_hz = _slow_waves(recording)
+        slow, self._slow_hz = slow_waves(recording)
         self._parts: list[dict[str, list[ComplexArray]]] = []
         directions, speed = frame_directions(recording)
         self._speed = thin(speed, self._width)
@@ -254,7 +254,7 @@ class Products:
         return [thin(m[:, :, None] * x[:, None, :], self._width)]
 
 
-def _slow_waves(recording: Recording) -> tuple[FloatArray, FloatArray]:
+def slow_waves(recording: Recording) -> tuple[FloatArray, FloatArray]:
     """1, cos, sin, … at multiples of one over the record, of unit sum of squares times the row time: shape (n, k), and their lines [Hz]."""
     duration, share = recording.duration_s, 2.0 * np.pi * (np.arange(len(recording)) + 0.5) / len(recording)
     columns, lines = [np.full(len(recording), 1.0 / np.sqrt(duration))], [0.0]

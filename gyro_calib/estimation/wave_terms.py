@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TERMS", "Signal", "Term", "derived_signals", "plain_signals"]
+__all__ = ["TERMS", "Signal", "Term", "derived_signals", "plain_signals", "warm_signals"]
 
 ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
@@ -45,8 +45,12 @@ def _on_own_axis(x: ComplexArray) -> ComplexArray:
 
 
 def _on_every_axis(x: ComplexArray) -> ComplexArray:
-    cube = _cube(x)
-    return _placed([(cube[:, 0], 0), (cube[:, 0], 1), (cube[:, 1], 0), (cube[:, 1], 1)])
+    return _axes_apart(_cube(x))
+
+
+def _axes_apart(x: ComplexArray) -> ComplexArray:
+    """(x on x, x on y, y on x, y on y)."""
+    return _placed([(x[:, 0], 0), (x[:, 0], 1), (x[:, 1], 0), (x[:, 1], 1)])
 
 
 def _on_other_axis(x: ComplexArray) -> ComplexArray:
@@ -111,6 +115,17 @@ def plain_signals() -> dict[str, Signal]:
         "own_axis": lambda V, u, rate: _on_own_axis(V),
         "other_axis": lambda V, u, rate: _on_other_axis(V),
         "drive_own_axis": lambda V, u, rate: _on_own_axis(u),
+    }
+
+
+def warm_signals(rise_k: FloatArray, row_s: float) -> dict[str, Signal]:
+    """What a temperature that differs from the campaign's mean by ``rise_k`` [K], shape (n,), does to the motion and to the drives; the
+    motion also by its change, for a sensor that is late.
+    """
+    both = np.column_stack([rise_k, np.gradient(rise_k, row_s)])
+    return {
+        "warm": lambda V, u, rate: both[:, :, None] * V[:, None, :],
+        "warm_drive": lambda V, u, rate: _axes_apart(rise_k[:, None] * u),
     }
 
 

@@ -170,7 +170,9 @@ def _result(
         warnings=verdicts[1],
         table=flow.table,
         convergence=convergence,
-        drive_chain=IdentifiedChain(DriveChain(*(float(derived.values[i]) for i in chain)), covariance[np.ix_(chain, chain)]),
+        drive_chain=IdentifiedChain(
+            DriveChain(*(float(derived.values[i]) for i in chain)), covariance[np.ix_(chain, chain)], *values.damping_pattern()
+        ),
         axis_scale_covariance=float(covariance[index["scale_x"], index["scale_y"]]),
         compensation=next(r for r in reversed(campaign.recordings) if r.command.mode == "whole_angle").command.compensation,
     )
@@ -184,12 +186,14 @@ def _gain_ratio(campaign: Campaign, values: WholeAngleValues, derived: Derived) 
     chain = DriveChain(*(float(named[f"{name}_seen"]) for name in ("delta_g", "two_delta", "two_lambda")))
     ratio = Quantity(values.drive_ratio, values.priors.drive_ratio * values.drive_ratio, "1")
     cross = float(named["A_xy_re"] + named["A_yx_re"])
+    flow = values.estimate.flow
+    feedthrough = flow.values.E if flow.has_feedthrough else None
     twice = values.amplitude if campaign.factory.get("drive_at_twice_frequency", False) else None
     found = {}
     for axis in _AXES:
         legs = [r for r in campaign if r.command.mode.startswith("ring_") and abs(off_axis(r, axis)) < _NEAR_AXIS_RAD]
         try:
-            ring = ring_gain(legs, axis, chain=chain, cross_damping=cross, drive_amplitude_v=twice)
+            ring = ring_gain(legs, axis, chain=chain, cross_damping=cross, drive_amplitude_v=twice, feedthrough=feedthrough)
         except CalibrationRefused:
             continue
         found[f"scale_factor_{axis}_gain_ratio"] = scale_factor(ring.gain, axis, ratio, values.kappa, values.amplitude, chain=chain)

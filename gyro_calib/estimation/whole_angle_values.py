@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..device.operating_point import ftr_operating_point
 from ..device.wave_point import wave_point
 from ..quantity import Quantity
-from .angle_drift import AngleDrift
-from .drive_chain import coupling_in_quadrature, drive_chain_of, physical_gain
+from .angle_drift import AngleDrift, damping_pattern
+from .drive_chain import DriveChain, coupling_in_quadrature, drive_chain_of, physical_gain
 from .separation import Deviations, PickoffFrame, Priors, angular_response, input_rate_times_kappa, solve_pickoff_frame
 from .whole_angle_fit import WholeAngleEstimate
 
@@ -151,9 +151,17 @@ class WholeAngleValues:
             named = self._free_wave(*self.at_rest(values), self.kappa, self._latency.value, compensation)
             return np.array([named["wave_bias"], named["drift_cos_4theta"], named["drift_sin_4theta"]])
 
-        steps = np.diag(np.sqrt(np.diag(covariance)))
-        jacobian = np.column_stack([(harmonics(vector + h) - harmonics(vector - h)) / (2.0 * h.sum()) for h in steps])
-        return AngleDrift(harmonics(vector), jacobian @ covariance @ jacobian.T)
+        return AngleDrift(harmonics(vector), _spread(harmonics, vector, covariance))
+
+    def damping_pattern(self) -> tuple[DriveChain, FloatArray]:
+        """What a compensation of drives and damping aims at (:func:`.damping_pattern`), and its covariance, shape (3, 3)."""
+
+        def pattern(values: FloatArray) -> FloatArray:
+            aim = damping_pattern(self.at_rest(values)[0])
+            return np.array([aim.delta_g, aim.two_delta, aim.two_lambda])
+
+        vector = self.estimate.vector()
+        return DriveChain(*map(float, pattern(vector))), _spread(pattern, vector, self.estimate.covariance)
 
     def _rebalance(self, at_rest: ComplexArray, G: ComplexArray, frame: PickoffFrame, kappa: float) -> dict[str, float]:
         """Bias [rad/s] and scale factor [V/(rad/s)] of force to rebalance by oscillator axis, of the feedthrough-free sensor (Eq. 7)."""
@@ -206,6 +214,13 @@ class WholeAngleValues:
             "two_lambda_seen": seen.two_lambda,
             "k_vir": 0.5 * abs(G[0, 0]) / self.amplitude,
         }
+
+
+def _spread(function: Callable[[FloatArray], FloatArray], vector: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Covariance of a function of the parameter vector, by central differences of a standard deviation."""
+    steps = np.diag(np.sqrt(np.diag(covariance)))
+    jacobian = np.column_stack([(function(vector + h) - function(vector - h)) / (2.0 * h.sum()) for h in steps])
+    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def _axes(at_rest: ComplexArray, frame: PickoffFrame) -> dict[str, float]:

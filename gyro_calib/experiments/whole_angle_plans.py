@@ -74,6 +74,15 @@ LONGEST_LEG_S = 60.0
 def virtual_precession_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
     """Free runs, precession of three amplitudes, and the pair of both senses over whole periods of 4 theta (document 004).
 
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
+
     Raises
     ------
     DataError
@@ -84,6 +93,15 @@ def virtual_precession_plan(factory: Mapping[str, Any], *, quality: str = "stand
 
 def scale_factor_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:
     """Ring-down, ring-up and stiffness control on both axes (document 003), with a short free run and a short pair of precessions.
+
+    Parameters
+    ----------
+    factory : mapping
+        Factory data of the unit.
+    quality : {"quick", "standard", "fine"}
+        Duration.
+    limits : Limits, optional
+        When to abort.
 
     Raises
     ------
@@ -117,7 +135,13 @@ def virtual_precession_steps(factory: Mapping[str, Any], quality: str) -> list[S
 
 
 def scale_factor_steps(factory: Mapping[str, Any], quality: str) -> list[Step]:
-    """Ring-down, ring-up and stiffness control with the wave on x, then on y."""
+    """Ring-down, ring-up and stiffness control with the wave on x, then on y.
+
+    Raises
+    ------
+    DataError
+        Drives too weak to ring the wave up, or factory data that lack what this is computed from.
+    """
     q = _quality(quality)
     amplitude, gain, full = _amplitude(factory), nominal_gain(factory), _full_scale(factory)
     decay = nominal_decay(factory)

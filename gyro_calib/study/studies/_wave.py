@@ -117,7 +117,12 @@ def chain_vector(chain: DriveChain) -> FloatArray:
 
 def binned_precession(recording: Recording, bins: int) -> tuple[FloatArray, FloatArray]:
     """Middle of bins of 4 theta over a turn [deg], and the mean precession theta' in each [rad/s], shape (bins,): by the time that the wave
-    takes from edge to edge, so that it does not matter where in a bin the rows lie. The wave must turn by a bin more than a period.
+    takes from edge to edge, so that it does not matter where in a bin the rows lie.
+
+    Raises
+    ------
+    DataError
+        The wave turned by less than a bin more than a period.
     """
     psi = smooth_azimuth(2.0 * wave_azimuth(recording.data), round(_SMOOTH_S * recording.sample_rate_hz))
     step = math.pi / bins

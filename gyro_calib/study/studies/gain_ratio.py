@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ...device import Device, draw_unit, load_device
-from ...estimation.gain_ratio import ring_gain, scale_factor, stiffness_gain
+from ...estimation.gain_ratio import ring_gain, scale_factor, stiffness_gain, without_feedthrough
 from ...experiments import Limits, Plan, Step
 from ...experiments.whole_angle_plans import scale_factor_steps
 from ...quantity import Quantity
@@ -97,7 +97,7 @@ def _of_ring(device: Device, stream: list[int]) -> Mapping[str, Quantity]:
     """
     recordings = list(_record(device, [*_open_steps(), *_stiffness_steps(_STIFFNESS, "ftr_x")], stream))
     feedthrough = [_feedthrough([r for r in recordings if r.label.startswith(f"open_{axis}")], k) for k, axis in enumerate("xy")]
-    turns = [_without(r, feedthrough[0]) for r in recordings if r.label.startswith("turn")]
+    turns = [without_feedthrough(r, np.diag([feedthrough[0], 0.0])) for r in recordings if r.label.startswith("turn")]
     held = float(np.mean([np.mean((r.drive[:, 0] / r.pick[:, 0]).imag) for r in turns]))
     gain = stiffness_gain(turns, "x")
     return {"stiffness": gain.scaled(1.0 / (1.0 + held * (feedthrough[0] + feedthrough[1]).imag), gain.unit)}
@@ -141,14 +141,6 @@ def _feedthrough(recordings: Sequence[Recording], axis: int) -> complex:
     """E_xx or E_yy: the mean of both sides, where the resonator's own answers are opposite (their in-phase part to 1 % only)."""
     sides = [complex(r.pick[:, axis].mean() / r.drive[:, axis].mean()) for r in recordings]
     return sum(sides) / len(sides)
-
-
-def _without(recording: Recording, feedthrough: complex) -> Recording:
-    """The recording with what the x drive puts straight onto the x pick-off taken out."""
-    data = recording.data.copy()
-    clean = recording.pick[:, 0] - feedthrough * recording.drive[:, 0]
-    data[:, 2], data[:, 3] = clean.real, clean.imag
-    return replace(recording, data=data)
 
 
 def summarise(figures: Figures) -> Sequence[Gate]:

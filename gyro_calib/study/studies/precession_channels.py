@@ -1,8 +1,9 @@
 """Single-channel (time-division multiplexed) against dual-channel electronics: the same hemisphere, the same plan, the same noise.
 
 A multiplexed pick-off is read for a share of the time and held in between, later for one axis than for the other, and its chain has a delay
-and a crosstalk; what the method finds is the drive chain as that controller sees it. The
-skew of the readings grows with the speed of the wave: 2 deg/s here.
+and a crosstalk; what the method finds is the drive chain as that controller sees it. Each drive acts in a slot of its own: a wave that is
+driven round moves in steps, and its readings lag on them by a control period, which the joint fit finds and takes out. Less of the
+time is read, 0.8 of a slot in four: the pick-off noise is 2.2 times as large, where the flicker of the drives does not bound the method.
 """
 
 from __future__ import annotations

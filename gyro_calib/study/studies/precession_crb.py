@@ -26,6 +26,8 @@ ComplexArray = NDArray[np.complex128]
 _FIGURES = ("delta_g", "two_delta", "two_lambda", "scale_factor_x", "scale_factor_y")
 #: the slow flow: damping, cross terms, couplings
 _FLOW = ("A_xx", "A_xy", "A_yx", "A_yy", "A_xy_im", "A_yx_im", "G_xy", "G_yx")
+#: what the issue allows: scatter over the bound, bias of the estimator over the bound, coverage [%]
+_SCATTER, _BIAS, _COVERAGE = 1.2, 0.2, (91.0, 98.0)
 
 
 def run(seed: int) -> dict[str, float]:
@@ -95,9 +97,9 @@ def _gates_of(name: str, figures: Mapping[str, FloatArray]) -> list[Gate]:
     bound = float(np.median(figures[f"{name}/bound"]))
     return [
         Gate(f"{name}: bound (median)", Quantity(bound, 0.0, "1")),
-        Gate(f"{name}: scatter / bound", Quantity(scatter, scatter / math.sqrt(2.0 * errors.size), "1"), upper=1.2),
-        Gate(f"{name}: |mean error| / bound", Quantity(abs(mean), scatter / math.sqrt(errors.size), "1"), upper=0.4),
-        Gate(f"{name}: coverage of 95 % intervals", coverage(claimed, np.ones_like(claimed)), lower=88.0),
+        Gate(f"{name}: scatter / bound", Quantity(scatter, scatter / math.sqrt(2.0 * errors.size), "1"), upper=_SCATTER),
+        Gate(f"{name}: |mean error| / bound", Quantity(abs(mean), scatter / math.sqrt(errors.size), "1"), upper=_BIAS),
+        Gate(f"{name}: coverage of 95 % intervals", coverage(claimed, np.ones_like(claimed)), lower=_COVERAGE[0], upper=_COVERAGE[1]),
     ]
 
 
@@ -106,5 +108,5 @@ STUDY = Study(
     description="Scatter of Delta G, 2 delta, 2 lambda and the scale factors against the Cramer-Rao bound; coverage of 95 % intervals",
     run=run,
     summarise=summarise,
-    default_seeds=50,
+    default_seeds=80,
 )
