@@ -11,6 +11,7 @@ from recording_samples import BENCH, FACTORY, make_campaign
 
 from gyro_calib.errors import DataError
 from gyro_calib.recording import Campaign, load_campaign, write_campaign_h5
+from gyro_calib.recording.bag import import_rosbags
 
 
 def of_device(campaign, device_id):
@@ -66,6 +67,8 @@ def test_bag_without_rosbags_names_the_extra(tmp_path, monkeypatch):
 
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
     monkeypatch.setattr(builtins, "__import__", without_rosbags)
+    # other tests of this process may have loaded it
+    import_rosbags.cache_clear()
     with pytest.raises(DataError, match=r"pip install 'gyro_calib\[bags\]'"):
         load_campaign(tmp_path)
 

@@ -15,8 +15,9 @@ from typing import Any
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Campaign, Recording
+from .factory_values import angular_gain
 from .separation import Priors
-from .sideband import FIGURES, SidebandProblem, angular_gain
+from .sideband import FIGURES, SidebandProblem
 from .slow_flow_data import SLOPE_WINDOW_K, usable_recordings
 
 __all__ = ["DropOne", "LeftOut", "drop_one"]

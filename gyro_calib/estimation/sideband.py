@@ -15,6 +15,7 @@ from ..device.operating_point import OperatingPoint, ftr_operating_point
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Campaign, Recording
+from .factory_values import angular_gain, factory_value
 from .feedthrough_check import check_feedthrough
 from .linear_fit import NoiseModel
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
@@ -23,7 +24,7 @@ from .slow_flow_data import SLOPE_WINDOW_K, resonance_motion, usable_recordings
 from .slow_flow_estimate import SlowFlowEstimate
 from .slow_flow_fit import fit_slow_flow
 
-__all__ = ["FIGURES", "SidebandProblem", "angular_gain", "calibrate_sideband"]
+__all__ = ["FIGURES", "SidebandProblem", "calibrate_sideband"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -79,23 +80,6 @@ def calibrate_sideband(
     return replace(result, feedthrough=check, warnings=warnings)
 
 
-def angular_gain(factory: Mapping[str, Any]) -> float:
-    """Kappa of the factory data; refuses without.
-
-    Raises
-    ------
-    CalibrationRefused
-        There is none, or it is not a positive number.
-    """
-    kappa = factory.get("angular_gain_kappa")
-    if not isinstance(kappa, int | float) or not kappa > 0:
-        raise CalibrationRefused(
-            f"Factory data must hold a positive angular_gain_kappa, but got {kappa!r}. "
-            "No self-calibration sees it: take it from the factory."
-        )
-    return float(kappa)
-
-
 @dataclass(frozen=True)
 class _Derived:
     """Everything derived from one parameter vector, flat, with names."""
@@ -124,8 +108,9 @@ class SidebandProblem:
     ) -> None:
         self.kappa = kappa
         # from the factory's rate table (calibration.factory_record), where there was one
-        self.kappa_sd = _of_factory(factory, "angular_gain_kappa_sd")
-        self.rate_difference = _of_factory(factory, "fixed_rate_difference_rad_s"), _of_factory(factory, "fixed_rate_difference_sd_rad_s")
+        self.kappa_sd = factory_value(factory, "angular_gain_kappa_sd")
+        difference, its_sd = (factory_value(factory, f"fixed_rate_difference_{name}") for name in ("rad_s", "sd_rad_s"))
+        self.rate_difference = difference, its_sd
         self.priors = priors
         self.factory = factory
         decay = math.pi * float(factory.get("nominal_f0_hz", 0.0)) / float(factory.get("nominal_q", math.inf))
@@ -337,11 +322,6 @@ def _line(
         return ftr_operating_point(at_rest + rate * response, G, E, amplitude, axis, volts=volts)
 
     return at(0.0).rate_channel_v, (at(step).rate_channel_v - at(-step).rate_channel_v) / (2.0 * step)
-
-
-def _of_factory(factory: Mapping[str, Any], name: str) -> float:
-    value = factory.get(name)
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
 
 
 def _main_amplitude(recordings: list[Recording]) -> float:

@@ -29,6 +29,8 @@ ComplexArray = NDArray[np.complex128]
 _WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 #: of the settings of a gridded effect, how many the saturated model holds
 _SATURATED_SETTINGS = 4
+#: columns of the saturated model over equations, at most
+_SATURATION = 0.5
 
 #: effects with a memory, or that feed through
 _FAST = (
@@ -218,4 +220,6 @@ def _saturated(
         nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
         chosen = [c for c in chosen if c.name not in _FAST]
     held = [c for c in effect_columns([*chosen, *turned]) if any(np.any(v) for v in c.signal)]
-    return [*nuisances, *held]
+    # few recordings have no equations for all of that: it would explain their noise
+    few = len(nuisances) + len(held) > _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
+    return list(nuisances) if few else [*nuisances, *held]

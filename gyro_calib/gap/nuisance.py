@@ -133,6 +133,10 @@ def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
         ("rate_skew", _combined((0, 0), (1, 1), -1.0)),
     ):
         columns += _collected(name, evidence, f, _SKEWED_RATE)
+    # what feeds through does not turn: -kappa Omega J (V - E u)
+    for a in range(2):
+        for b in range(2):
+            columns += _collected(f"rate_feed_{'xy'[a]}{'xy'[b]}", evidence, _entry("rate_drive", a, b), _FEEDTHROUGH)
     return columns + _blurred_steps(evidence)
 
 
@@ -150,6 +154,17 @@ def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
         sides.append(tuple(vectors))
     row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
     return [Column("table_blur", sides[0], sides[1], _ROW_MOMENT * row_s**2)]
+
+
+def _blurred_records(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """A pick-off's rows filtered otherwise than the drives': its curvature times the difference of the filters' second moments."""
+    by_recording = []
+    for r in evidence:
+        s = r.signals
+        curvature = np.gradient(np.gradient(s.pick, s.row_s, axis=0), s.row_s, axis=0)
+        by_recording.append([Part("record_blur", "output", curvature)])
+    row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
+    return [replace(c, prior_sd=_ROW_MOMENT * row_s**2) for c in part_columns(evidence, by_recording, linear)]
 
 
 def target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
@@ -195,6 +210,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """How a healthy device follows its temperature, and a record that is late."""
     columns: list[Column] = []
     columns += _form(evidence, linear, "drive_lag", {"tau": _LAG_S})
+    columns += _blurred_records(evidence, linear)
     if _span_k(evidence) < _TEMPERATURE_SPAN_K:
         return columns
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})

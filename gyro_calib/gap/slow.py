@@ -26,14 +26,14 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: half cosines of the campaign's time
 _COSINES = 8
-#: how large a drift may be while it is not measured: stray volts over the volts that hold a wave, rate over the decay, relative gains
-_STRAY, _RATE, _GAIN = 1e-3, 1e-3, 3e-3
+#: how large a drift may be while it is not measured: stray volts over those that hold a wave, rate and damping over the decay, gains
+_STRAY, _RATE, _GAIN, _DAMPING = 1e-3, 1e-3, 3e-3, 3e-3
 _SIZES = np.concatenate([[1e-4], np.geomspace(1e-3, 1.0, 25)])
 _ROUNDS = 4
 
 
 def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
-    """What drifts, one unit of it: stray volts of each drive by phase, relative gains, rate."""
+    """What drifts, one unit of it: stray volts of each drive by phase, relative gains, rate, damping."""
     s = r.signals
     closed = complex(r.is_wave)
     unit = np.full((len(s.time_s), 2), closed)
@@ -44,7 +44,7 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
     for axis, name in zip(axes, "xy", strict=True):
         parts += [Part(f"stray{phase}.{name}", "drive", factor * unit * axis) for phase, factor in (("c", 1.0), ("s", 1j))]
         parts.append(Part(f"gain.{name}", "drive", s.drive * axis))
-    return [*parts, Part("rate.z", "flow", turned)]
+    return [*parts, Part("rate.z", "flow", turned), Part("damping.z", "flow", -motion)]
 
 
 def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
@@ -54,6 +54,7 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     phase = np.pi * (times - times.min()) / max(float(np.ptp(times)), 1.0)
     volts = float(np.median([np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))) for r in evidence if r.is_wave]))
     largest = {"strayc": _STRAY * volts, "strays": _STRAY * volts, "gain": _GAIN, "rate": _RATE * evidence.decay_rate}
+    largest["damping"] = _DAMPING * evidence.decay_rate
     columns = []
     for column in base:
         family = column.name.split(".")[0]
