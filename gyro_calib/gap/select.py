@@ -28,7 +28,7 @@ MARGIN, LEAST_GAIN = 8.0, 25.0
 _ALIKE = 6.0
 _MOST_EFFECTS = 3
 #: share of strong evidence that blind trials found to name the right group (`benchmarks/README.md`)
-_TRUST = 0.9
+_TRUST = 0.75
 _GOLDEN_STEPS = 8
 #: share of an effect's gain that its form, of first order, may leave
 _SECOND_ORDER = 0.005
