@@ -212,8 +212,8 @@ def _saturated(
 ) -> list[Column]:
     """Every effect at once, each of a size that it may have, and unnamed terms of rate.
 
-    Where no open drive of both axes told the feedthrough, without it and without what has a memory: in a closed loop the drive's noise
-    follows from the pick-off's, and a feedthrough or a lag that is free would explain the noise away.
+    Where no open drive of both axes told the feedthrough, without the lag of a record and what has a memory: in a closed loop the drive's
+    noise follows from the pick-off's, and a lag that is free would explain the noise away. A feedthrough keeps to its prior.
     """
     chosen = [c for tried in candidates.values() for c in tried[:: max(1, len(tried) // _SATURATED_SETTINGS)]]
     if not _open_drive(evidence):

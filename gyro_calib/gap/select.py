@@ -137,7 +137,7 @@ def select_effects(model: CampaignModel) -> Selection:
         chosen = relinearised(model, [*chosen[:-1], _refined(model, chosen, len(chosen) - 1)])
         ranked = _ranked(model, chosen)
     if not chosen:
-        chosen = [_refined(model, pair, k) for pair in (_pair(model, first),) for k in range(len(pair))]
+        chosen = _pair(model, first)
     chosen = _improved(model, chosen, largest)
     chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
     chosen, effects = _settled(model, chosen, largest)
