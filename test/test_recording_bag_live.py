@@ -33,26 +33,32 @@ def test_running_gyro_is_recorded_and_read_back(ros, tmp_path):
         return received
 
     recorder = ros.node("recorder")
-    blocks = recorder.create_subscription(
+    recorder.create_subscription(
         Float64MultiArray, "/left/channels", keep("/left/channels", "std_msgs/msg/Float64MultiArray"), SENSOR_SUB_QOS, raw=True
     )
     keep_event = keep("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
     recorder.create_subscription(ParameterEvent, "/parameter_events", keep_event, qos_profile_parameter_events, raw=True)
-    gyro = FakeGyro(namespace="/left", block_duration_s=0.05)
-    # the events of its declarations come before discovery: this bag began after the driver
-    wait_for(lambda: blocks.get_publisher_count() > 0, 20.0, "the gyro's topic")
-    ros.add(gyro)
+    gyro = ros.add(FakeGyro(namespace="/left", block_duration_s=0.05))
 
-    def blocks_heard():
+    def count(topic):
         with lock:
-            return sum(topic == "/left/channels" for topic, _, _ in heard)
+            return sum(heard_topic == topic for heard_topic, _, _ in heard)
+
+    def heard_on_both():
+        gyro.set_parameters([Parameter("constant_rate_rad_s", value=0.0)])
+        return count("/left/channels") > 0 and count("/parameter_events") > 0
+
+    # the events of its declarations come before discovery, and the topics are discovered one by one: this bag begins after the driver
+    wait_for(heard_on_both, 30.0, "blocks and events of the gyro")
+    with lock:
+        heard.clear()
 
     side_band = Command("ftr_y", Excitation("amplitude_modulation", 0.5, 0.1))
     for command in (Command(), side_band, Command("ftr_x")):
-        start = blocks_heard()
+        start = count("/left/channels")
         result = gyro.set_parameters_atomically([Parameter(name, value=value) for name, value in command.to_parameters().items()])
         assert result.successful, result.reason
-        wait_for(lambda start=start: blocks_heard() > start + 60, 60.0, "three seconds of blocks")
+        wait_for(lambda start=start: count("/left/channels") > start + 60, 60.0, "three seconds of blocks")
     with lock:
         path = write_raw_bag(tmp_path / "bag", heard)
 
