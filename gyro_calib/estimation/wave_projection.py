@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
-from .projection import hold_factor, test_functions
+from .projection import hold_factor, moving_reference, test_functions
 from .wave import smooth_azimuth, wave_coordinates
 
 __all__ = ["CHANNELS", "Products", "WaveProjected", "frame_directions", "in_wave_frame", "slow_waves", "spectral_derivatives", "thin"]
@@ -146,11 +146,11 @@ class Products:
         self._row_s = self._width / rate_hz
         self._omega0, self._decay = omega0_rad_s, decay_rate
         omega = recording.ref_omega_rad_s
-        # what multiplies p' (projection.project)
-        stretch, slow = 0.5 * (omega + omega.mean()) / omega0_rad_s, (omega - omega0_rad_s) / (2.0 * omega0_rad_s)
+        stretch, creep = moving_reference(omega, 1.0 / rate_hz, omega0_rad_s)
+        slow = (omega - omega0_rad_s) / (2.0 * omega0_rad_s)
         detuning = (omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s) - resonance_shift_rad_s
         self._gain = stretch[:, None]
-        self._shift = (1j * detuning + 2.0 * decay_rate * slow)[:, None]
+        self._shift = (1j * detuning + 2.0 * decay_rate * slow - creep)[:, None]
         half_hold = 0.5 * float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
         V, u = recording.pick, recording.drive
         acting = u * hold_factor(recording, omega, omega0_rad_s)[:, None]

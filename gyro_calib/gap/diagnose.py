@@ -23,6 +23,7 @@ from .nuisance import linear_of
 from .preflight import check_campaign, usable
 from .screen import Screened
 from .select import Selection, select_effects
+from .spectral_effects import SpectralEffects, spectral_effects
 from .standing import standings
 from .system import Solution
 
@@ -72,11 +73,13 @@ def diagnose(
     effects = tuple(
         _found(model, e, g, p, rich) for e, g, p in zip(selection.effects, selection.groups, selection.probabilities, strict=True)
     )
-    unknown = _unknown(selection)
+    beside = spectral_effects(recordings, model.linear, left_out)
+    effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
+    unknown = _unknown(selection) or (None if effects else beside.unknown)
     verdict = _verdict(effects, unknown, lines)
     following = next_experiment(model, selection, lines)
     report(1.0, "done")
-    none, something = _probabilities(selection)
+    none, something = _probabilities(selection, beside)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
@@ -207,12 +210,19 @@ def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: t
     return "none" if tested >= len(lines) // 4 else "not_testable"
 
 
-def _probabilities(selection: Selection) -> tuple[float, float]:
+def _in_order(lines: tuple[Standing, ...]) -> tuple[Standing, ...]:
+    """The present ones first, then what is like them."""
+    rank = {"present": 0, "like": 1}
+    return tuple(sorted(lines, key=lambda s: rank.get(s.status.split()[0], 2)))
+
+
+def _probabilities(selection: Selection, beside: SpectralEffects) -> tuple[float, float]:
     """Of none, and of something unnamed."""
-    if selection.stranger is not None:
+    if selection.stranger is not None or (beside.unknown is not None and not selection.effects):
         return 0.005, 0.9
-    if selection.effects:
-        return 1.0 - max(selection.probabilities), 0.02
+    found = [*selection.probabilities, *(e.probability for e in beside.effects)]
+    if found:
+        return 1.0 - max(found), 0.02
     best = max((s.log_evidence for s in selection.screened.values()), default=-10.0)
     against = _NONE_BEFORE / (_NONE_BEFORE + (1.0 - _NONE_BEFORE) * math.exp(min(0.5 * (best - 4.0), 50.0)))
     return float(min(against, 0.98)), 0.01

@@ -55,9 +55,12 @@ class Linear:
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """A x, with A at each row's resonance and applied rate, shape (n, 2)."""
-        detuning = self.detuning_rad_s[s.index] if self.detuning_rad_s else self.frequency_slope_rad_s_k * s.temperature_k
         turning = self.angular_gain * s.rate_rad_s[:, None] * _turned(x)
-        return np.asarray(x @ self.A.T + 1j * detuning[:, None] * x - turning)
+        return np.asarray(x @ self.A.T + 1j * self.detuning(s)[:, None] * x - turning)
+
+    def detuning(self, s: Signals) -> FloatArray:
+        """How far the resonance lay from the frequency of reference [rad/s], shape (n,)."""
+        return self.detuning_rad_s[s.index] if self.detuning_rad_s else self.frequency_slope_rad_s_k * s.temperature_k
 
 
 @dataclass(frozen=True)
@@ -194,15 +197,32 @@ def _campaign_times(signals: list[Signals]) -> list[Setting]:
 
 
 def _modes(signals: list[Signals]) -> list[Setting]:
-    distances = np.array([4.0, 8.0, 14.0, 18.0, 22.0, 30.0, 45.0, 56.0, 64.0, 90.0, 150.0])
+    distances = np.array([1.0, 2.0, 4.0, 8.0, 14.0, 18.0, 22.0, 30.0, 45.0, 56.0, 64.0, 90.0, 150.0])
     return [{"separation_hz": float(f), "half_width_hz": w} for f in (*-distances, *distances) for w in (0.5, 3.0)]
 
 
 def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    away = setting["separation_hz"] - (s.omega_rad_s - s.omega0_rad_s) / (2.0 * np.pi)
-    response = 1.0 / (2.0 * np.pi * (setting["half_width_hz"] - 1j * away))
-    driven = (response * s.drive.sum(axis=1))[:, None] * np.ones((1, 2))
-    return _by_axis("output", "gain", driven)
+    """A resonance of its own, which follows the temperature as the gyro's does; an open drive has held it in its steady state."""
+    pole = 2.0 * np.pi * complex(-setting["half_width_hz"], setting["separation_hz"])
+    force = s.drive.sum(axis=1)
+    behind = s.omega_rad_s - s.omega0_rad_s - d.detuning(s)
+    if s.recording.command.mode == "loops_off":
+        answer = force / (1j * behind - pole)
+    else:
+        # in the frame that the resonance turns with, where the pole stands still
+        turn = np.exp(1j * np.cumsum(behind) * s.row_s)
+        answer = _driven(force * turn, pole, s.row_s) / turn
+    return _by_axis("output", "gain", answer[:, None] * np.ones((1, 2)))
+
+
+def _driven(force: ComplexArray, pole: complex, row_s: float) -> ComplexArray:
+    """q of ``q' = pole q + force``, the force straight between its rows, begun at the steady state."""
+    z = pole * row_s
+    grown = np.exp(z)
+    first, second = (grown - 1.0) / z, (grown - 1.0 - z) / z**2
+    start = (-force[0] / pole - row_s * second * force[0]).reshape(1)
+    out, _ = lfilter(row_s * np.array([second, first - second]), [1.0, -grown], force, zi=start)
+    return np.asarray(out)
 
 
 def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:

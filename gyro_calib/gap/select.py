@@ -18,7 +18,7 @@ from .candidates import registry_name
 from .exact_levels import best_exact_level
 from .model import CampaignModel
 from .relinearise import relinearised
-from .screen import Candidate, Screened
+from .screen import Candidate, Screened, Screener
 
 __all__ = ["Selection", "Stranger", "select_effects"]
 
@@ -30,6 +30,8 @@ _MOST_EFFECTS = 3
 #: share of strong evidence that blind trials found to name the right group (`benchmarks/README.md`)
 _TRUST = 0.75
 _GOLDEN_STEPS = 8
+#: settings that are refined, rounds of those that have two, and how far beyond the ends of its grid one may lie
+_REFINED, _REFINEMENTS, _BEYOND = ("level", "tau", "separation_hz", "half_width_hz"), 3, {"half_width_hz": 4.0}
 #: share of an effect's gain that its form, of first order, may leave
 _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
@@ -201,16 +203,23 @@ def _or_exact_level(
 
 
 def _refined(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> Candidate:
-    """The candidate in place k with its setting between the points of the grid, by golden section on the evidence."""
+    """The candidate in place k with its settings between the points of the grid, one after the other by golden section on the evidence."""
+    screener = model.screener_with([c for j, c in enumerate(chosen) if j != k])
     candidate = chosen[k]
-    key = next((name for name in ("level", "tau", "separation_hz") if name in candidate.setting), None)
-    if key is None:
-        return candidate
+    keys = [name for name in _REFINED if name in candidate.setting]
+    for key in keys * (_REFINEMENTS if len(keys) > 1 else 1):
+        candidate = _refined_along(model, screener, candidate, key)
+    return candidate
+
+
+def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidate, key: str) -> Candidate:
     grid = np.unique([float(c.setting[key]) for c in model.candidates[candidate.name]])
     here = float(candidate.setting[key])
     below, above = grid[grid < here], grid[grid > here]
     low, high = (float(below[-1]) if below.size else here), (float(above[0]) if above.size else here)
-    screener = model.screener_with([c for j, c in enumerate(chosen) if j != k])
+    if key in _BEYOND:
+        # a width has no natural ends: a grid of two may lie to one side of it
+        low, high = (low if below.size else here / _BEYOND[key]), (high if above.size else here * _BEYOND[key])
     tried: dict[float, tuple[float, Candidate]] = {}
 
     def evidence(value: float) -> float:

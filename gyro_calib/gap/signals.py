@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..estimation.projection import test_functions
+from ..estimation.projection import moving_reference, test_functions
 from ..estimation.wave_projection import frame_directions, spectral_derivatives, thin
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
@@ -146,8 +146,9 @@ class Projector:
         s = self.signals
         omega, omega0 = s.omega_rad_s, s.omega0_rad_s
         slow = (omega - omega0) / (2.0 * omega0)
-        gain = (omega / omega0 + slow)[None, :, None]
-        shift = (1j * (omega**2 - omega0**2) / (2.0 * omega0) + 2.0 * s.decay_rate * slow)[None, :, None]
+        stretch, creep = moving_reference(omega, s.row_s, omega0)
+        gain = stretch[None, :, None]
+        shift = (1j * (omega**2 - omega0**2) / (2.0 * omega0) + 2.0 * s.decay_rate * slow - creep)[None, :, None]
         twice = 2j * omega0
         value, first, second = (w[:, :, None] for w in (self.value, self.first, self.second))
         parts = []

@@ -1,0 +1,99 @@
+"""Spectra of the pick-offs of plain records over their own floor: where effects show that leave no mean and no side band.
+
+A hum, a tone of vibration and a noisy gain average to nothing on the lines that the equations are projected on. They stand in the spectrum:
+as lines that no command asks for (:mod:`.tones`), or as a floor that grows with the amplitude (:mod:`.noise_growth`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from ..estimation.wave import wave_coordinates
+from ..recording.recording import Recording
+from .signals import WARMING_K, smooth_temperature
+
+__all__ = ["PickSpectrum", "detrended", "pick_spectra", "plain_records", "steep_window"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: bins on which the floor's median is taken, to both sides; its ratio to the mean of an exponential distribution
+_FLOOR_BINS, _MEDIAN = 30, float(np.log(2.0))
+#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal
+_LEAST_BINS, _HARMONICS = 30.0, 16.0
+#: power of a Hann window whose side lobes fall below the floor within those bins: a turning wave of a volt stands beside nanovolts
+_POWER = 3
+_SHORTEST_S = 4.0
+
+
+@dataclass(frozen=True)
+class PickSpectrum:
+    """Spectrum of one record.
+
+    Parameters
+    ----------
+    recording : Recording
+    frequency_hz : ndarray, shape (n,)
+        From the carrier, in order.
+    ratio : ndarray, shape (n, 2)
+        Power of x and y over the local floor; exponentially distributed about 1 where there is noise alone.
+    clear_hz : float
+        What is nearer to the carrier belongs to the signal.
+    carrier_hz : float
+        Mean frequency of the reference.
+    """
+
+    recording: Recording
+    frequency_hz: FloatArray
+    ratio: FloatArray
+    clear_hz: float
+    carrier_hz: float
+
+    @property
+    def bin_hz(self) -> float:
+        """Distance of two bins."""
+        return 1.0 / self.recording.duration_s
+
+
+def plain_records(recordings: Sequence[Recording]) -> list[Recording]:
+    """Records whose loops hold a wave that nothing but a side band moves."""
+    return [r for r in recordings if _is_plain(r)]
+
+
+def _is_plain(r: Recording) -> bool:
+    held = r.command.mode.startswith("ftr") or r.command.mode == "whole_angle"
+    steady = "applied_rate" not in r.extras and float(np.ptp(smooth_temperature(r))) < WARMING_K
+    return held and steady and r.duration_s >= _SHORTEST_S and r.command.excitation.kind in ("none", "amplitude_modulation")
+
+
+def pick_spectra(recordings: Sequence[Recording]) -> list[PickSpectrum]:
+    """Spectra of the plain records."""
+    return [_spectrum(r) for r in plain_records(recordings)]
+
+
+def _spectrum(r: Recording) -> PickSpectrum:
+    x = detrended(r.pick)
+    power = np.abs(np.fft.fftshift(np.fft.fft(x * steep_window(len(r))[:, None], axis=0), axes=0)) ** 2
+    floor = median_filter(power, size=(2 * _FLOOR_BINS + 1, 1), mode="wrap") / _MEDIAN
+    frequency = np.fft.fftshift(np.fft.fftfreq(len(r), 1.0 / r.sample_rate_hz))
+    azimuth = wave_coordinates(r).azimuth_rad
+    turning = abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * r.duration_s)
+    busy = max(turning, r.command.excitation.frequency_hz if r.command.excitation.kind != "none" else 0.0)
+    clear = max(_LEAST_BINS / r.duration_s, _HARMONICS * busy)
+    return PickSpectrum(r, frequency, power / floor, clear, float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi))
+
+
+def steep_window(count: int) -> FloatArray:
+    """Window of low side lobes."""
+    return np.asarray(np.hanning(count) ** _POWER)
+
+
+def detrended(x: ComplexArray) -> ComplexArray:
+    """Less a parabola in time, each column by itself."""
+    place = np.linspace(-1.0, 1.0, len(x))
+    basis = np.stack([np.ones_like(place), place, place**2], axis=1)
+    return np.asarray(x - basis @ np.linalg.lstsq(basis.astype(np.complex128), x, rcond=None)[0])

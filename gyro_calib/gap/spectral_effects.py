@@ -1,0 +1,125 @@
+"""Effects that stand in the spectrum and not in the slow flow, as findings beside those of the fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from ..effects import EFFECTS
+from ..quantity import Quantity
+from ..recording.recording import Recording
+from .diagnosis import FoundEffect, Standing, Unknown
+from .forms import Linear
+from .noise_growth import NoiseGrowth, noise_growth
+from .spectra import pick_spectra
+from .tones import Tone, find_tone
+
+__all__ = ["SpectralEffects", "spectral_effects"]
+
+#: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
+_SIGMA = 6.0
+_SEEN = _SIGMA + 1.28
+#: probability of a finding that is as strong as it must be here
+_PROBABILITY = 0.95
+#: converters' steps: their noise is that of any floor, and says nothing of where it comes from
+_NOT_TESTABLE = ("pickoff_quantisation", "drive_quantisation")
+
+
+@dataclass(frozen=True)
+class SpectralEffects:
+    """What the spectra say.
+
+    Parameters
+    ----------
+    effects : tuple of FoundEffect
+    unknown : Unknown or None
+        Noise across the phase that grows with the amplitude: a clock.
+    standings : tuple of Standing
+        One line per effect of this kind.
+    """
+
+    effects: tuple[FoundEffect, ...]
+    unknown: Unknown | None
+    standings: tuple[Standing, ...]
+
+
+def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: Iterable[str] = ()) -> SpectralEffects:
+    """Lines that no command asks for, and a floor that grows with the amplitude.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    linear : Linear
+    without : iterable of str
+        Effects that the registry shall not hold (blind trials): of a line that is there all the same nothing is said.
+    """
+    left_out = set(without)
+    spectra = pick_spectra(recordings)
+    tone, growth = find_tone(spectra, linear), noise_growth(recordings)
+    effects = []
+    if tone is not None and tone.name not in left_out:
+        effects.append(_tone(tone))
+    if growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
+        effects.append(_noisy_gain(growth))
+    present = {e.name for e in effects}
+    alike = {name: e.name for e in effects for name in e.group[1:]}
+    standings = [
+        _standing(name, present, alike, growth, bool(spectra))
+        for name in ("external_tone", "mains_pickup", "amplitude_noise", *_NOT_TESTABLE)
+        if name not in left_out
+    ]
+    return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings))
+
+
+def _tone(tone: Tone) -> FoundEffect:
+    effect = EFFECTS[tone.name]
+    names = ("v_x", "v_y") if tone.name == "mains_pickup" else ("a_x", "a_y")
+    parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz")}
+    parameters |= {name: Quantity(float(tone.volts[k]), float(tone.volts_sd[k]), "V") for k, name in enumerate(names)}
+    return FoundEffect(
+        name=tone.name,
+        title=effect.title,
+        group=(tone.name, *tone.alike),
+        probability=_PROBABILITY,
+        parameters=parameters,
+        location=effect.location,
+        registry_name=tone.name,
+        gain=2.0 * tone.log_evidence,
+        harmless=True,
+    )
+
+
+def _noisy_gain(growth: NoiseGrowth) -> FoundEffect:
+    effect = EFFECTS["amplitude_noise"]
+    return FoundEffect(
+        name=effect.name,
+        title=effect.title,
+        group=(effect.name,),
+        probability=_PROBABILITY,
+        parameters={"s": Quantity(*growth.gain_per_rthz, effect.parameter("s").unit)},
+        location=effect.location,
+        registry_name=effect.name,
+        gain=growth.gain_sigma**2,
+        harmless=True,
+    )
+
+
+def _noisy_clock(growth: NoiseGrowth | None) -> Unknown | None:
+    if growth is None or growth.clock_sigma < _SIGMA:
+        return None
+    return Unknown("electronics", "in quadrature", "white noise in proportion to x", "amplitude", "amplitude_noise", growth.clock_sigma**2)
+
+
+def _standing(name: str, present: set[str], alike: dict[str, str], growth: NoiseGrowth | None, heard: bool) -> Standing:
+    effect = EFFECTS[name]
+    limit, status = None, "excluded"
+    if name in present:
+        status = "present"
+    elif name in alike:
+        status = f"like {alike[name]}"
+    elif name in _NOT_TESTABLE or (name == "amplitude_noise" and growth is None) or not heard:
+        status = "not testable"
+    elif name == "amplitude_noise" and growth is not None:
+        limit = Quantity(math.sqrt(_SEEN) * growth.gain_per_rthz_limit, growth.gain_per_rthz_limit, effect.parameters[0].unit)
+    return Standing(name, effect.title, effect.location, status, limit, 0.0, 0.0, 0.0)

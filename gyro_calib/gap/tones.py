@@ -1,0 +1,177 @@
+"""Lines that no command asks for: a hum about the carrier, a tone of vibration at a frequency of its own.
+
+A line counts when it stands at one frequency in several records: at the same distance to both sides of the carrier (a hum), or at the same
+frequency whatever the reference does (a tone). Its evidence is the sum of ``z - 1 - ln z`` over the records, z its power over the local
+floor: the log likelihood ratio of a line of the best size, from which the search over all bins and the sizes are paid. An image of the
+carrier or its harmonics by a converter's rate is no tone: every sampled drive has some, and some fall beside the resonance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording.recording import Recording
+from .forms import Linear
+from .spectra import PickSpectrum, detrended, steep_window
+
+__all__ = ["Tone", "find_tone"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: power over the floor from which on a bin is a place to look at; how many of a record, at most
+_PEAK, _MOST_PEAKS = 12.0, 6
+#: log evidence that a line must have beyond the search; what its size costs in each record and axis
+_MARGIN, _PRICE = 30.0, 2.0
+#: power over the floor of a record that holds the line, and how many such records there must be
+_SHOWN, _FEWEST = 8.0, 2
+#: nearer to the carrier than this the loops mirror a tone, and it is not told from a hum [Hz]
+_MIRRORED_HZ = 20.0
+#: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz]
+_RATES_HZ, _IMAGED, _SAME_HZ = 100.0, 5, 0.15
+#: least power of one side band over the other's for both to be those of a hum
+_EVEN = 0.25
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A line.
+
+    Parameters
+    ----------
+    name : str
+        ``"mains_pickup"`` or ``"external_tone"``.
+    alike : tuple of str
+        The other, where these records do not tell them apart.
+    frequency_hz, frequency_sd_hz : float
+        Of the hum about the carrier; of the tone itself.
+    volts, volts_sd : ndarray, shape (2,)
+        Hum on each pick-off; drive volts that would shake each axis as the tone does.
+    log_evidence : float
+    """
+
+    name: str
+    alike: tuple[str, ...]
+    frequency_hz: float
+    frequency_sd_hz: float
+    volts: FloatArray
+    volts_sd: FloatArray
+    log_evidence: float
+
+
+def find_tone(spectra: Sequence[PickSpectrum], linear: Linear) -> Tone | None:
+    """The line of most evidence, if it is one.
+
+    Parameters
+    ----------
+    spectra : sequence of PickSpectrum
+    linear : Linear
+        Device by which a tone's force is told from what it moves.
+    """
+    if len(spectra) < _FEWEST:
+        return None
+    hypotheses = [
+        found
+        for spectrum in spectra
+        for away in _peaks(spectrum)
+        if not _is_image(spectrum.carrier_hz, away)
+        for found in (_gathered(spectra, abs(away), hum=True), _gathered(spectra, spectrum.carrier_hz + away, hum=False))
+    ]
+    searched = math.log(2.0 * sum(s.frequency_hz.size for s in spectra))
+    good = [h for h in hypotheses if h.shown >= _FEWEST]
+    if not good:
+        return None
+    best = max(good, key=lambda h: h.evidence)
+    return _told(spectra, best, linear, best.evidence - searched) if best.evidence > searched + _MARGIN else None
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A hypothesis with what speaks for it."""
+
+    hum: bool
+    frequency_hz: float
+    evidence: float
+    shown: int
+
+
+def _peaks(s: PickSpectrum) -> list[float]:
+    """Frequencies of the highest bins, one of each group."""
+    power = np.where(np.abs(s.frequency_hz) > s.clear_hz, s.ratio.max(axis=1), 0.0)
+    found: list[float] = []
+    for k in np.argsort(-power)[: 4 * _MOST_PEAKS]:
+        f = float(s.frequency_hz[k])
+        if power[k] > _PEAK and all(abs(f - other) > 6.0 * s.bin_hz for other in found):
+            found.append(f)
+    return found[:_MOST_PEAKS]
+
+
+def _is_image(carrier_hz: float, away_hz: float) -> bool:
+    """Whether the line is a harmonic of the carrier folded at a converter's rate."""
+    for k in range(-_IMAGED, _IMAGED + 1):
+        rate = carrier_hz + away_hz - k * carrier_hz
+        if k != 1 and abs(rate - _RATES_HZ * round(rate / _RATES_HZ)) < _SAME_HZ:
+            return True
+    return False
+
+
+def _gathered(spectra: Sequence[PickSpectrum], frequency_hz: float, *, hum: bool) -> _Line:
+    evidence, shown = 0.0, 0
+    for s in spectra:
+        sides = (frequency_hz, -frequency_hz) if hum else (frequency_hz - s.carrier_hz,)
+        if not s.clear_hz < abs(sides[0]) < 0.45 * s.recording.sample_rate_hz:
+            continue
+        z = np.concatenate([_at(s, f) for f in sides])
+        evidence += float(np.sum(np.maximum(z - 1.0 - np.log(np.maximum(z, 1.0)), 0.0) - _PRICE))
+        shown += bool(z.max() > _SHOWN)
+    return _Line(hum, frequency_hz, evidence, shown)
+
+
+def _at(s: PickSpectrum, frequency_hz: float) -> FloatArray:
+    """Power over the floor of both axes at the bin that is nearest."""
+    place = round(frequency_hz / s.bin_hz) + s.frequency_hz.size // 2
+    return np.asarray(s.ratio[np.clip(place, 0, len(s.ratio) - 1)])
+
+
+def _told(spectra: Sequence[PickSpectrum], line: _Line, linear: Linear, evidence: float) -> Tone:
+    """Which of the two it is, and how large."""
+    used = [s for s in spectra if line.hum or abs(line.frequency_hz - s.carrier_hz) > s.clear_hz]
+    places = [line.frequency_hz if line.hum else line.frequency_hz - s.carrier_hz for s in used]
+    upper, lower = (np.array([_at(s, side * f) for s, f in zip(used, places, strict=True)]).sum(axis=0) for side in (1.0, -1.0))
+    even = bool(np.min([upper.max(), lower.max()]) > _EVEN * np.max([upper.max(), lower.max()]))
+    distance = float(np.median(np.abs(places)))
+    mirrored = distance < _MIRRORED_HZ
+    name = "mains_pickup" if even and (line.hum or not mirrored) else "external_tone"
+    other = "external_tone" if name == "mains_pickup" else "mains_pickup"
+    hum = name == "mains_pickup"
+    sizes = np.array([_volts(s.recording, f, linear, hum=hum) for s, f in zip(used, places, strict=True)])
+    sign = 1.0 if upper.max() >= lower.max() else -1.0
+    carrier = float(np.median([s.carrier_hz for s in used]))
+    frequency = distance if hum else (line.frequency_hz if not line.hum else carrier + sign * distance)
+    return Tone(
+        name=name,
+        alike=(other,) if mirrored and even else (),
+        frequency_hz=frequency,
+        frequency_sd_hz=0.3 * max(s.bin_hz for s in used) / math.sqrt(len(used)),
+        volts=np.median(sizes, axis=0),
+        volts_sd=np.std(sizes, axis=0) / math.sqrt(len(used)) + 1e-12,
+        log_evidence=evidence,
+    )
+
+
+def _volts(r: Recording, away_hz: float, linear: Linear, *, hum: bool) -> FloatArray:
+    """Hum on the pick-offs, or drive volts of the tone: what the slow flow does not explain of the line."""
+    window = steep_window(len(r))
+    lines = []
+    for f in (away_hz, -away_hz) if hum else (away_hz,):
+        wave = window * np.exp(-2j * np.pi * f * (r.t - r.t[0])) / window.sum()
+        pick, drive = wave @ detrended(r.pick), wave @ detrended(r.drive)
+        flow = 2j * np.pi * f * np.eye(2) - linear.A
+        forced = np.linalg.solve(flow, linear.G @ drive)
+        lines.append(pick - forced if hum else np.linalg.solve(linear.G, flow @ pick) - drive)
+    # a real hum stands to both sides of the carrier, half of it on each
+    return np.asarray(np.sum(np.abs(lines), axis=0))

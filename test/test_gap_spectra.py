@@ -1,0 +1,112 @@
+"""What stands in the spectrum alone: a tone, a hum, a noisy gain; and what must not be taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gyro_calib.gap.forms import Linear
+from gyro_calib.gap.noise_growth import noise_growth
+from gyro_calib.gap.spectra import pick_spectra
+from gyro_calib.gap.spectral_effects import spectral_effects
+from gyro_calib.gap.tones import find_tone
+from gyro_calib.recording.columns import COLUMNS
+from gyro_calib.recording.command import Command, Setpoints
+from gyro_calib.recording.recording import Recording
+
+ROWS_HZ, NOISE_V = 500.0, 2e-6
+#: axes of a ring that ring alike; G turns a volt into -8i V/s
+LINEAR = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), complex), 0.8, 0.0)
+
+
+def records(
+    rng: np.random.Generator,
+    *,
+    carrier_hz: tuple[float, ...] = (15000.0, 15000.3),
+    hum: tuple[float, float] = (0.0, 0.0),
+    tone: tuple[float, float] = (0.0, 0.0),
+    gain: float = 0.0,
+    clock: float = 0.0,
+) -> list[Recording]:
+    """Held waves of three amplitudes: hum (Hz, V), tone (Hz, V on the pick-off), relative noise of gain and phase per row."""
+    found = []
+    for k, amplitude in enumerate((0.6, 1.0, 1.4) * 3):
+        count = 5000
+        t = 20.0 * k + np.arange(count) / ROWS_HZ
+        f = carrier_hz[k % len(carrier_hz)]
+        wave = amplitude * (1.0 + gain * rng.standard_normal(count) + 1j * clock * rng.standard_normal(count))
+        wave = wave + hum[1] * np.cos(2 * np.pi * hum[0] * t) + tone[1] * np.exp(2j * np.pi * (tone[0] - f) * t)
+        noise = NOISE_V * (rng.standard_normal((count, 2)) + 1j * rng.standard_normal((count, 2)))
+        rows = np.zeros((count, len(COLUMNS)))
+        rows[:, 0], rows[:, 1] = t, k + 1.0
+        for axis, x in enumerate((wave + noise[:, 0], noise[:, 1])):
+            rows[:, 2 + 2 * axis], rows[:, 3 + 2 * axis] = x.real, x.imag
+        rows[:, 10], rows[:, 11] = f, 25.0
+        command = Command("ftr_x", setpoints=Setpoints(amplitude_v=amplitude))
+        found.append(Recording("ring", rows, command, ROWS_HZ, f"static_{k}"))
+    return found
+
+
+def test_noise_alone_holds_neither_line_nor_growth() -> None:
+    for seed in range(20):
+        plain = records(np.random.default_rng(seed))
+        assert find_tone(pick_spectra(plain), LINEAR) is None
+        growth = noise_growth(plain)
+        assert growth is not None
+        assert abs(growth.gain_sigma) < 5.0
+        assert growth.clock_sigma < 5.0
+
+
+def test_a_hum_stands_at_one_distance_to_both_sides() -> None:
+    tone = find_tone(pick_spectra(records(np.random.default_rng(1), hum=(50.0, 5e-6))), LINEAR)
+    assert tone is not None
+    assert (tone.name, tone.alike) == ("mains_pickup", ())
+    assert tone.frequency_hz == pytest.approx(50.0, abs=0.02)
+
+
+def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
+    tone = find_tone(pick_spectra(records(np.random.default_rng(2), tone=(15041.7, 3e-6))), LINEAR)
+    assert tone is not None
+    assert tone.name == "external_tone"
+    assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
+    # what moves the pick-off by that much at 41.7 Hz from resonance
+    assert tone.volts[0] == pytest.approx(3e-6 * 2 * np.pi * 41.55 / 8.0, rel=0.1)
+
+
+def test_an_image_of_the_carrier_by_a_converter_is_no_tone() -> None:
+    carrier = 14990.0
+    assert find_tone(pick_spectra(records(np.random.default_rng(3), carrier_hz=(carrier,), tone=(30000.0 - carrier, 1e-5))), LINEAR) is None
+
+
+def test_a_line_in_one_record_alone_is_no_finding() -> None:
+    rng = np.random.default_rng(4)
+    plain = records(rng)
+    plain[3] = records(rng, tone=(15041.7, 1e-5))[3]
+    assert find_tone(pick_spectra(plain), LINEAR) is None
+
+
+def test_a_noisy_gain_grows_with_the_amplitude_and_has_its_size() -> None:
+    per_row = 3e-6
+    recordings = records(np.random.default_rng(5), gain=per_row)
+    found = spectral_effects(recordings, LINEAR)
+    assert [e.name for e in found.effects] == ["amplitude_noise"]
+    assert found.unknown is None
+    size = found.effects[0].parameters["s"]
+    assert abs(size.value - per_row * np.sqrt(2.0 / ROWS_HZ)) < 2.0 * size.sd
+    assert not spectral_effects(recordings, LINEAR, ("amplitude_noise",)).effects
+
+
+def test_a_noisy_clock_is_not_in_the_catalogue() -> None:
+    found = spectral_effects(records(np.random.default_rng(6), clock=5e-6), LINEAR)
+    assert not found.effects
+    assert found.unknown is not None
+    assert (found.unknown.location, found.unknown.phase) == ("electronics", "in quadrature")
+
+
+def test_one_amplitude_cannot_tell_and_says_so() -> None:
+    one = [replace(r, command=Command("ftr_x")) for r in records(np.random.default_rng(7))]
+    status = {s.name: s.status for s in spectral_effects(one, LINEAR).standings}
+    assert status["amplitude_noise"] == status["pickoff_quantisation"] == "not testable"
+    assert status["external_tone"] == "excluded"
