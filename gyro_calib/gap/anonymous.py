@@ -7,14 +7,15 @@ registry does not is *something not in the catalogue*, and the term that closes 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import Form, Kind, Linear, Part, Setting, conjugate_product, low_pass
+from .forms import Form, Kind, Linear, Part, Setting, conjugate_product
+from .memory import remembered
 from .screen import Candidate
 from .signals import Signals
 
@@ -68,6 +69,11 @@ def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
     return lambda s, x: f(s)[:, None] * x
 
 
+def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
+    """Through a low-pass, begun settled: what went before is not known of an unnamed signal."""
+    return remembered(replace(s, before=None), lambda _: x, tau_s)
+
+
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x", "amplitude"): [lambda s, x: _norm(x) * x],
@@ -105,8 +111,8 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
     ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
     ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],
-    ("x of 0.1 s before", "speed of change"): [lambda s, x: low_pass(s, x, 0.1)],
-    ("x of 1 s before", "speed of change"): [lambda s, x: low_pass(s, x, 1.0)],
+    ("x of 0.1 s before", "speed of change"): [lambda s, x: _late(s, x, 0.1)],
+    ("x of 1 s before", "speed of change"): [lambda s, x: _late(s, x, 1.0)],
     ("x/(1 + i 10 Hz away)", "frequency"): [lambda s, x: x / (1.0 + 0.1j * (s.omega_rad_s - s.omega0_rad_s) / (2.0 * np.pi))[:, None]],
     ("a constant", "reference"): [
         lambda s, x: _axis(np.ones_like(x), 0) * float(s.recording.command.mode != "loops_off"),

@@ -133,8 +133,12 @@ class CampaignEvidence:
         temperature = float(np.median([np.median(r.temperature_degc) for r in recordings]))
         omega0 = float(np.median([np.median(r.ref_omega_rad_s) for r in closed]))
         start = min(float(r.t[0]) for r in recordings)
-        found = [_evidence(i, r, omega0, decay_rate, temperature, start) for i, r in enumerate(recordings)]
-        return cls(tuple(found), omega0, decay_rate, temperature)
+        found: dict[int, RecordingEvidence] = {}
+        before: Signals | None = None
+        for i in np.argsort([float(r.t[0]) for r in recordings], kind="stable"):
+            found[int(i)] = _evidence(int(i), recordings[i], omega0, decay_rate, temperature, start, before)
+            before = found[int(i)].signals
+        return cls(tuple(found[i] for i in range(len(recordings))), omega0, decay_rate, temperature)
 
     def __iter__(self):  # type: ignore[no-untyped-def]
         return iter(self.recordings)
@@ -143,9 +147,11 @@ class CampaignEvidence:
         return len(self.recordings)
 
 
-def _evidence(index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float) -> RecordingEvidence:
+def _evidence(
+    index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float, before: Signals | None
+) -> RecordingEvidence:
     width = max(1, round(recording.sample_rate_hz / THIN_HZ))
-    signals = Signals(recording, omega0, decay_rate, width, temperature, start, index)
+    signals = Signals(recording, omega0, decay_rate, width, temperature, start, index, before)
     rise = smooth_temperature(recording) - temperature
     products = Products(
         recording,

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from .memory import remembered
 from .signals import Signals
 
 __all__ = ["FORMS", "Form", "Linear", "Part", "Setting", "conjugate_product", "cube"]
@@ -157,14 +158,6 @@ def _lag(s: Signals, x: ComplexArray) -> ComplexArray:
     return np.asarray(-np.gradient(x, s.row_s, axis=0))
 
 
-def low_pass(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
-    """First-order low pass of an envelope, begun at its mean over the first time constant."""
-    share = 1.0 - np.exp(-s.row_s / tau_s)
-    start = x[: max(1, min(len(x), round(tau_s / s.row_s)))].mean(axis=0)
-    out, _ = lfilter([share], [1.0, share - 1.0], x, axis=0, zi=(1.0 - share) * start[None, :])
-    return np.asarray(out)
-
-
 def _clipped(x: ComplexArray, level: float) -> ComplexArray:
     """Fundamental of a clipped sine less the sine: describing function of a limiter."""
     r = np.minimum(level / np.maximum(np.abs(x), 1e-300), 1.0)
@@ -225,10 +218,14 @@ def _driven(force: ComplexArray, pole: complex, row_s: float) -> ComplexArray:
     return np.asarray(out)
 
 
+def _temperature(s: Signals) -> ComplexArray:
+    return s.temperature_k[:, None].astype(np.complex128)
+
+
 def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """A lag that is short against the ramps is linear in its time; a longer one rounds their corners, and is tried as what it is."""
     if "tau" in setting:
-        late = low_pass(s, s.temperature_k[:, None].astype(np.complex128), setting["tau"]) - s.temperature_k[:, None]
+        late = remembered(s, _temperature, setting["tau"], steady=False) - s.temperature_k[:, None]
         return [Part("share", "flow", 1j * d.frequency_slope_rad_s_k * late * _motion(s, d))]
     slope = np.gradient(s.temperature_k, s.row_s)[:, None]
     return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
@@ -305,7 +302,7 @@ FORMS: dict[str, Form] = {
     "coulomb_friction": _flow("c", _dry, -1.0),
     "spurious_mode": Form(_mode, _modes),
     "relaxation": Form(
-        lambda s, d, g: [Part("c", "flow", 1j * (low_pass(s, _motion(s, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
+        lambda s, d, g: [Part("c", "flow", 1j * (remembered(s, lambda of: _motion(of, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
     ),
     "parametric_pump": Form(lambda s, d, g: [Part(f"h_{n}", "flow", f * _motion(s, d).conj()) for n, f in (("c", 1.0), ("s", 1j))]),
     "constant_force": Form(_constant("drive", "f"), _with_or_without_open_drive),
@@ -317,14 +314,14 @@ FORMS: dict[str, Form] = {
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", _clipped(s.drive, g["level"]))], _levels("drive", _LIMITS)),
     "drive_dead_zone": Form(lambda s, d, g: [Part("share", "drive", _dead(s.drive, g["level"]))], _levels("drive", _DEAD)),
     "drive_lag": Form(lambda s, d, g: [Part("tau", "drive", _lag(s, s.drive))]),
-    "drive_memory": Form(lambda s, d, g: [Part("share", "drive", low_pass(s, s.drive, g["tau"]))], _times(0.05, 5.0, 5)),
+    "drive_memory": Form(lambda s, d, g: [Part("share", "drive", remembered(s, lambda of: of.drive, g["tau"]))], _times(0.05, 5.0, 5)),
     # pick-off
     "pickoff_nonlinearity": _static("output", "c", "pick", 1.0),
     "pickoff_amplitude_phase": _static("output", "c", "pick", 1j),
     "pickoff_cross_nonlinearity": Form(lambda s, d, g: [Part("c", "output", _swapped(cube(s.pick)))]),
     "pickoff_saturation": Form(lambda s, d, g: [Part("share", "output", _clipped(s.pick, g["level"]))], _levels("pick", _LIMITS)),
     "pickoff_lag": Form(lambda s, d, g: [Part("tau", "output", _lag(s, s.pick))]),
-    "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", low_pass(s, s.pick, g["tau"]))], _times(0.05, 5.0, 5)),
+    "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", remembered(s, lambda of: of.pick, g["tau"]))], _times(0.05, 5.0, 5)),
     "pickoff_interference": Form(_constant("output", "v"), _with_or_without_open_drive),
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", _only(_lag(s, s.pick), 1))]),
     # environment
@@ -332,7 +329,7 @@ FORMS: dict[str, Form] = {
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _motion(s, d), -1.0)),
     "thermal_frequency_curvature": _environment("k", lambda s: s.temperature_k**2, 1j),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
-    "thermal_lag": Form(_thermal_lag, _times(0.03, 3.0, 7)),
+    "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 11)),
     "thermal_drive_gain": _scaled("drive", "g", "drive", _warm, 1.0),
     "thermal_drive_phase": _scaled("drive", "g", "drive", _warm, 1j),
     "thermal_pickoff_gain": _scaled("output", "g", "pick", _warm, 1.0),

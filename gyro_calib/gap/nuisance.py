@@ -16,6 +16,7 @@ from ..estimation.wave_projection import WaveProjected
 from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .forms import FORMS, Linear, Part
+from .signals import SMOOTH_S
 
 __all__ = [
     "frequency_columns",
@@ -188,6 +189,17 @@ def frequency_columns(evidence: CampaignEvidence, feedthrough: ComplexArray | No
     return columns
 
 
+def _blurred_temperature(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """A temperature that was smoothed over t: its corners are rounder than the resonator's by t^2/24 of its curvature."""
+    by_recording = []
+    for r in evidence:
+        s = r.signals
+        curvature = np.gradient(np.gradient(s.temperature_k, s.row_s), s.row_s)[:, None]
+        motion = s.pick - s.drive @ linear.E.T
+        by_recording.append([Part("temperature_blur", "flow", 1j * linear.frequency_slope_rad_s_k * curvature * motion)])
+    return [replace(c, prior_sd=SMOOTH_S**2 / 24.0) for c in part_columns(evidence, by_recording, linear)]
+
+
 def _warming(name: str, term: str, evidence: CampaignEvidence, feedthrough: ComplexArray | None, prior_sd: float) -> list[Column]:
     sides = []
     for place in (SIGNAL, QUIET):
@@ -214,6 +226,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     if _span_k(evidence) < _TEMPERATURE_SPAN_K:
         return columns
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
+    columns += _blurred_temperature(evidence, linear)
     damping = abs(np.trace(linear.A).real) / 2.0
     split = 2.0 * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
     anisotropy = np.abs(linear.A - np.eye(2) * np.trace(linear.A) / 2.0).max()

@@ -34,9 +34,9 @@ def relinearised(model: CampaignModel, chosen: Sequence[Candidate], start: Linea
     for _ in range(_ROUNDS if chosen else 0):
         solution = model.fitted(current)
         values = solution.by_name()
-        linear = replace(
-            linear_of(model.evidence, values, model.linear.angular_gain), frequency_slope_rad_s_k=model.linear.frequency_slope_rad_s_k
-        )
+        linear = linear_of(model.evidence, values, model.linear.angular_gain)
+        if all(c.name != "thermal_lag" for c in current):
+            linear = replace(linear, frequency_slope_rad_s_k=model.linear.frequency_slope_rad_s_k)
         sizes = {c.name: {column.name: values[f"{c.name}.{column.name}"] for column in c.columns} for c in current}
         found = [replace(r, signals=with_pick(r.signals, _motion(r.signals, linear, current, sizes))) for r in model.evidence]
         evidence = replace(model.evidence, recordings=tuple(found))

@@ -46,6 +46,8 @@ _BANK_MARGIN = 6.0
 _PRICE = 3.4
 #: a share that multiplies an effect whose size is its setting must be near one
 _SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
+#: a lag of the thermometer that is long against a ramp [s]
+_BENDING_LAG_S = 0.5
 #: a level that is tried as what it is must leave this much less than what was selected
 _EXACT_IS_BETTER = 0.5
 
@@ -107,6 +109,9 @@ def physical(found: Screened, *, rough: bool = True) -> bool:
         if name in known and not known[name].lower - 3.0 * sd <= value <= known[name].upper + 3.0 * sd:
             return False
     told = "level" in found.candidate.setting or found.name == "thermal_lag"
+    if rough and found.candidate.setting.get("tau", 0.0) > _BENDING_LAG_S and found.name == "thermal_lag":
+        # without it the frequency hardly seems to follow the temperature, and the share is of that
+        high = np.inf
     return not told or low <= found.sizes()["share"][0] <= high
 
 

@@ -7,7 +7,7 @@ correction: it is enough to form it from the thinned signals, so that fifty of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,14 +18,14 @@ from ..estimation.wave_projection import frame_directions, spectral_derivatives,
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
 
-__all__ = ["WARMING_K", "Signals", "smooth_temperature", "with_pick"]
+__all__ = ["SMOOTH_S", "WARMING_K", "Signals", "smooth_temperature", "with_pick"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
 #: temperature span of a recording from which on its temperature moved [K]; over how long it is smoothed then [s]
-WARMING_K, _SMOOTH_S = 0.3, 0.4
+WARMING_K, SMOOTH_S = 0.3, 0.4
 
 
 def smooth_temperature(recording: Recording) -> FloatArray:
@@ -35,7 +35,7 @@ def smooth_temperature(recording: Recording) -> FloatArray:
     raw, n = recording.temperature_degc, len(recording)
     place = np.linspace(-1.0, 1.0, n)
     line = raw.mean() + place * float(place @ raw) / float(place @ place)
-    width = 2 * (min(round(_SMOOTH_S * recording.sample_rate_hz), n // 4) // 2) + 1
+    width = 2 * (min(round(SMOOTH_S * recording.sample_rate_hz), n // 4) // 2) + 1
     total = np.cumsum(np.concatenate([[0.0], np.pad(raw - line, width // 2, mode="reflect")]))
     running = line + (total[width:] - total[:-width]) / width
     return np.asarray(running if np.ptp(running) > WARMING_K else line)
@@ -58,6 +58,8 @@ class Signals:
         Device time that ``time_s`` is counted from.
     index : int
         Place of the recording in its campaign.
+    before : Signals or None
+        Of the recording that came before.
     """
 
     recording: Recording
@@ -67,6 +69,7 @@ class Signals:
     temperature_degc: float
     start_s: float
     index: int = 0
+    before: Signals | None = field(default=None, repr=False, compare=False)
 
     @cached_property
     def row_s(self) -> float:

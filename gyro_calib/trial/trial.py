@@ -30,8 +30,10 @@ __all__ = ["LIKE", "TRIALS_PER_UNIT", "Outcome", "Prepared", "prepare", "run_tri
 TRIALS_PER_UNIT = 6
 #: a ratio that is left behind an imitator and below this tells nobody apart (gap.md)
 LIKE = 5.0
-#: what grows with the volts of a drive: multiplexed ones are higher in their slot than the recorded mean, and no form says by how much
-_OF_VOLTS = (
+#: not of multiplexed electronics: what grows with the volts of a drive (higher in their slot than recorded, and no form says by how
+#: much), and what feeds through while nothing is read
+_NOT_MULTIPLEXED = (
+    "thermal_feedthrough",
     "drive_nonlinearity",
     "drive_amplitude_phase",
     "drive_cross_nonlinearity",
@@ -185,7 +187,7 @@ def _sized(trial: Trial, reference: CampaignModel, rng: np.random.Generator, *, 
     for name in trial.order:
         if len(found) == len(trial.snr):
             break
-        if any(reported_name(name) == reported_name(s.name) for s in found) or (multiplexed and name in _OF_VOLTS):
+        if any(reported_name(name) == reported_name(s.name) for s in found) or (multiplexed and name in _NOT_MULTIPLEXED):
             continue
         sized = size_effect(reference, name, trial.snr[len(found)], rng)
         if sized is not None and (not found or _apart(reference, found[0], sized)):
