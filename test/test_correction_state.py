@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import datetime, timezone
 
+import numpy as np
 import pytest
 from calibration_samples import make_record
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gyro_calib.calibration import RateErrorModel
+from gyro_calib.device import draw_unit, load_device
 from gyro_calib.nodes.correction_state import ERROR, OK, WARN, CorrectionSettings, CorrectionState
 from gyro_calib.nodes.stamps import SampleClock, StampJoin
+from gyro_calib.quantity import Quantity
+from gyro_calib.recording.command import Command
+from gyro_calib.simulation.truth import truth_of
 from gyro_calib.units import DEG_H, PPM
 
 DEVICE = "ring_15k-0007"
@@ -134,7 +140,8 @@ def test_record_of_another_operating_point_is_not_applied(change: dict, text: st
 
 @pytest.mark.parametrize("temperature", [35.0, math.nan])
 def test_outside_its_validity_a_record_is_applied_with_doubt(temperature: float) -> None:
-    state = make_state(out_of_validity_sd_factor=7.0, covariance_mode="total", bandwidth_hz=1e-9)
+    nothing = {"bias_temperature_sd_rad_s_per_k": 0.0, "scale_factor_temperature_sd_per_k": 0.0}
+    state = make_state(out_of_validity_sd_factor=7.0, covariance_mode="total", bandwidth_hz=1e-9, **nothing)
     state.offer(make_record(), "test")
     state.temperature_degc = 25.0
     state.refresh(NOON)
@@ -241,3 +248,35 @@ def test_streams_of_constant_lag_join_completely(offsets: tuple[int, int], order
         index = order.choice([i for i, q in enumerate(queues) if q])
         found += join.add(index, queues[index].pop(0))
     assert stamps_of(found)[:n] == [[k * period, k * period + offsets[0], k * period + offsets[1]] for k in range(n)]
+
+
+def test_the_claim_grows_with_the_distance_from_the_temperature_without_a_word_from_the_user() -> None:
+    """Drawn rings 3 K warmer than their record: what their bias moved is within what is claimed, neither far less nor more."""
+    ratios = []
+    for seed in range(30):
+        unit = draw_unit(load_device("ring_15k"), seed)
+        here, there = (
+            truth_of(replace(unit, environment=replace(unit.environment, temperature_degc=t)), Command(), 0.0) for t in (25.0, 28.0)
+        )
+        state = make_state()
+        state.offer(make_record(bias=Quantity(here.bias_rad_s, 1.0 * DEG_H, "rad/s"), bias_scale_covariance=0.0), "test")
+        state.temperature_degc = 25.0
+        state.refresh(NOON)
+        near = variance(state, 0.0)
+        state.temperature_degc = 28.0
+        state.refresh(NOON)
+        claimed = math.sqrt(variance(state, 0.0) - near) * 1.03
+        ratios.append(abs(there.bias_rad_s - here.bias_rad_s) / claimed)
+    assert 0.4 < float(np.median(ratios)) < 1.0
+    assert np.mean(np.array(ratios) < 2.0) > 0.9
+
+
+def test_who_states_a_sensitivity_is_taken_at_his_word() -> None:
+    state = make_state(bias_temperature_sd_rad_s_per_k=2.0 * DEG_H, scale_factor_temperature_sd_per_k=0.0)
+    state.offer(make_record(), "test")
+    state.temperature_degc = 25.0
+    state.refresh(NOON)
+    near = variance(state, 0.0)
+    state.temperature_degc = 28.0
+    state.refresh(NOON)
+    assert variance(state, 0.0) - near == pytest.approx((6.0 * DEG_H / 1.03) ** 2, rel=1e-9)

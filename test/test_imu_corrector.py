@@ -53,7 +53,10 @@ def single(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bench, St
     bench = Bench(tmp_path_factory.mktemp("single"))
     gyro = bench.gyro("/one")
     bench.listen("/one")
-    bench.start("/one", accel_max_age_s=1.0, stream_timeout_s=2.0)
+    # these tests compute what is claimed by hand, at other temperatures too
+    bench.start(
+        "/one", accel_max_age_s=1.0, stream_timeout_s=2.0, bias_temperature_sd_rad_s_per_k=0.0, scale_factor_temperature_sd_per_k=0.0
+    )
     yield bench, gyro
     bench.close()
 

@@ -63,7 +63,8 @@ def test_a_drift_of_50_degc_an_hour(ros: RosSession, spawn_node: Callable[..., A
     pace = {"fidelity": "slow_flow", "realtime_factor": 80.0, "rate_raw_hz": 5.0, "block_duration_s": 0.5}
     spawn_node("gyro_sim_node", parameters={"device": str(tmp_path / "drifting.yaml"), **pace})
     spawn_node("calibration_node", parameters={"plan_quality": "standard"})
-    spawn_node("imu_corrector_node")
+    nothing = {"bias_temperature_sd_rad_s_per_k": 0.0, "scale_factor_temperature_sd_per_k": 0.0}
+    spawn_node("imu_corrector_node", parameters=nothing)
     client.wait_ready(device.device_id)
 
     # eight minutes are 6 K: too far

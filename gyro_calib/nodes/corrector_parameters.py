@@ -32,8 +32,18 @@ _NUMBERS: dict[str, tuple[float, float, float, str]] = {
     "covariance_horizon_s": (60.0, 1e-3, 1e9, "Mode horizon: time over which integrating independent samples shall be honest [s]."),
     "noise_bandwidth_hz": (0.0, 0.0, 1e6, "Noise bandwidth [Hz]: variance at rest over density squared; 0: half of the sample rate."),
     "bias_drift_sd_rad_s": (0.0, 0.0, 10.0, "How far the bias moves between calibration and use, 1 sigma [rad/s]; adds to the record's."),
-    "bias_temperature_sd_rad_s_per_k": (0.0, 0.0, 1.0, "Change of the bias per kelvin away from the calibration, 1 sigma [rad/s/K]."),
-    "scale_factor_temperature_sd_per_k": (0.0, 0.0, 1.0, "Change of the scale factor per kelvin away from it, 1 sigma [1/K]."),
+    "bias_temperature_sd_rad_s_per_k": (
+        -1.0,
+        -1.0,
+        1.0,
+        "Change of the bias per kelvin away from the calibration, 1 sigma [rad/s/K]; negative: 0.5 % of the record's bias.",
+    ),
+    "scale_factor_temperature_sd_per_k": (
+        -1.0,
+        -1.0,
+        1.0,
+        "Change of the scale factor per kelvin away from it, 1 sigma [1/K]; negative: 150 ppm.",
+    ),
     "out_of_validity_sd_factor": (10.0, 1.0, 1e6, "Factor on the sd of bias and scale factor outside the validity of the record [1]."),
     "uncalibrated_bias_sd_rad_s": (2000.0 * DEG_H, 0.0, 10.0, "Bias of an uncalibrated gyro, 1 sigma [rad/s], from its data sheet."),
     "uncalibrated_scale_factor_sd": (0.05, 0.0, 1.0, "Scale factor error of an uncalibrated gyro, 1 sigma [1], from its data sheet."),
@@ -104,12 +114,16 @@ def read_settings(node: Node) -> CorrectionSettings:
         horizon_s=number["covariance_horizon_s"],
         bandwidth_hz=number["noise_bandwidth_hz"] or None,
         bias_drift_sd_rad_s=number["bias_drift_sd_rad_s"],
-        bias_temperature_sd_rad_s_per_k=number["bias_temperature_sd_rad_s_per_k"],
-        scale_factor_temperature_sd_per_k=number["scale_factor_temperature_sd_per_k"],
+        bias_temperature_sd_rad_s_per_k=_stated(number["bias_temperature_sd_rad_s_per_k"]),
+        scale_factor_temperature_sd_per_k=_stated(number["scale_factor_temperature_sd_per_k"]),
         out_of_validity_sd_factor=number["out_of_validity_sd_factor"],
         hold_uncalibrated=node.get_parameter("uncalibrated_policy").value == "hold",
         rate_limit_rad_s=number["rate_limit_rad_s"],
     )
+
+
+def _stated(value: float) -> float | None:
+    return None if value < 0.0 else value
 
 
 def input_names(node: Node) -> list[tuple[InputNames, str]]:
