@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
 from ..effects import EFFECTS
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import FORMS, Linear, Setting
+from .forms import FORMS, SKEW, Linear, Setting
 from .screen import Candidate
 
 __all__ = ["candidate_at", "candidates_of", "registry_name"]
 
 #: width of the prior of a parameter over its typical size in the registry
 _PRIOR_WIDTH = 10.0
+#: how unequal the pick-offs of a unit are
+_UNEQUAL = 0.03
 
 
 def registry_name(name: str, setting: Setting) -> str:
@@ -53,12 +55,28 @@ def candidates_of(
     return {name: candidates for name, candidates in found.items() if candidates}
 
 
-def candidate_at(evidence: CampaignEvidence, linear: Linear, name: str, setting: Setting, choices: int) -> Candidate:
-    """An effect at one setting; ``choices``: how many settings it is tried at."""
-    form = FORMS[name]
-    columns = tuple(form_columns(evidence, form, linear, setting))
+def candidate_at(
+    evidence: CampaignEvidence, linear: Linear, name: str, setting: Setting, choices: int, sizes: Mapping[str, float] | None = None
+) -> Candidate:
+    """An effect at one setting.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    linear : Linear
+    name : str
+    setting : mapping
+    choices : int
+        How many settings it is tried at.
+    sizes : mapping, optional
+        Of an effect that was found: what pick-offs that are not alike make of it is then of known size.
+    """
+    columns = tuple(form_columns(evidence, FORMS[name], linear, setting, unlike=sizes is not None))
     effect = EFFECTS[registry_name(name, setting)]
-    typical = {p.name: p.typical for p in effect.parameters}
+    typical = {p.name: p.typical for p in effect.parameters if p.name not in setting}
     # a share multiplies an effect whose size is its setting: it is one when that is right
-    prior = [_PRIOR_WIDTH * typical[c.name] if c.name in typical and c.name not in setting else 1.0 for c in columns]
-    return Candidate(name, setting, columns, np.array(prior), choices)
+    prior = {c.name: _PRIOR_WIDTH * typical[c.name] if c.name in typical else 1.0 for c in columns}
+    if sizes is not None:
+        own = max((abs(size) for parameter, size in sizes.items() if not parameter.startswith(SKEW)), default=0.0)
+        prior |= {c.name: _UNEQUAL * own for c in columns if c.name.startswith(SKEW)}
+    return Candidate(name, setting, columns, np.array([prior[c.name] for c in columns]), choices)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .evidence import CampaignEvidence, RecordingEvidence
-from .forms import Form, Linear, Part, Setting
+from .forms import SKEW, Form, Linear, Part, Setting
 from .signals import Projector
 
 __all__ = ["QUIET", "SIGNAL", "Column", "Place", "form_columns", "part_columns"]
@@ -51,9 +51,11 @@ class Column:
     prior_sd: float = float("inf")
 
 
-def form_columns(evidence: CampaignEvidence, form: Form, linear: Linear, setting: Setting) -> list[Column]:
-    """Columns of a form at a setting, one per parameter."""
-    by_recording = [form.parts(r.signals, linear, setting) for r in evidence]
+def form_columns(evidence: CampaignEvidence, form: Form, linear: Linear, setting: Setting, *, unlike: bool = False) -> list[Column]:
+    """Columns of a form at a setting, one per parameter; ``unlike``: and what pick-offs that are not alike make of it."""
+    by_recording = [
+        [part for part in form.parts(r.signals, linear, setting) if unlike or not part.parameter.startswith(SKEW)] for r in evidence
+    ]
     return part_columns(evidence, by_recording, linear)
 
 

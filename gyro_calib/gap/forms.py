@@ -18,13 +18,23 @@ from scipy.signal import lfilter
 from .memory import remembered
 from .signals import Signals
 
-__all__ = ["FORMS", "Form", "Linear", "Part", "Setting", "conjugate_product", "cube"]
+__all__ = ["FORMS", "SKEW", "Form", "Linear", "Part", "Setting", "conjugate_product", "cube"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+#: a part that is no parameter of its effect: what the unit's own pick-offs make of it
+SKEW = "skew"
+#: how pick-offs differ: gain and phase of one over the other, and what each reads of the other's motion
+_UNLIKE: dict[str, ComplexArray] = {
+    "gain": np.diag([-0.5, 0.5]).astype(np.complex128),
+    "phase": 0.5j * np.diag([-1.0, 1.0]),
+    "mixed": np.array([[0.0, 0.5], [0.5, 0.0]], dtype=np.complex128),
+    "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
+}
+_STEP = 1e-4
 #: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
 Kind = Literal["flow", "drive", "output"]
-_LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008])
+_LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008, 0.004, 0.0015])
 _COARSE = np.geomspace(0.4, 4.0, 10)
 _DEAD = np.geomspace(1e-4, 0.4, 14)
 #: values of the parameters that are not linear
@@ -145,8 +155,12 @@ def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
 
 
 def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
-    crossed = _swapped(x)
-    return [Part(f"{letter}_c", "flow", factor * x * np.array([1.0, -1.0])), Part(f"{letter}_s", "flow", factor * crossed)]
+    """By axis, across, and as unequal pick-offs show the latter: other from x to y than from y to x."""
+    return [
+        Part(f"{letter}_c", "flow", factor * x * np.array([1.0, -1.0])),
+        Part(f"{letter}_s", "flow", factor * _swapped(x)),
+        Part(SKEW, "flow", factor * _turned(x)),
+    ]
 
 
 def _turned(x: ComplexArray) -> ComplexArray:
@@ -173,7 +187,7 @@ def _levels(of: Literal["pick", "drive"], shares: FloatArray) -> Callable[[list[
     """Levels that are shares of the largest amplitude of any axis: of all recordings, and of those in which drives were not wound up."""
 
     def settings(signals: list[Signals]) -> list[Setting]:
-        peaks = np.array([float(np.quantile(np.abs(getattr(s, of)), 0.99)) for s in signals])
+        peaks = np.array([float(np.quantile(np.abs(getattr(s, of)), 0.998)) for s in signals])
         levels = np.concatenate([peaks.max() * shares, float(np.median(peaks)) * _COARSE])
         return [{"level": float(level)} for level in np.unique(levels)]
 
@@ -254,7 +268,17 @@ def _with_or_without_open_drive(signals: list[Signals]) -> list[Setting]:
 
 
 def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: complex) -> Form:
-    return Form(lambda s, d, g: [Part(parameter, "flow", factor * f(_motion(s, d)))])
+    return Form(lambda s, d, g: [Part(parameter, "flow", factor * f(_motion(s, d))), *_skewed(_motion(s, d), f, factor)])
+
+
+def _skewed(p: ComplexArray, f: Callable[[ComplexArray], ComplexArray], factor: complex) -> list[Part]:
+    """How an effect of the motion looks in the volts of pick-offs P = 1 + e that are not alike: ``P f(P^-1 p) - f(p)``, per unit of e."""
+    parts = []
+    for name, e in _UNLIKE.items():
+        turned = p @ e.T
+        bent = (f(p + _STEP * turned) - f(p - _STEP * turned)) / (2.0 * _STEP)
+        parts.append(Part(f"{SKEW}_{name}", "flow", factor * (f(p) @ e.T - bent)))
+    return parts
 
 
 def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
@@ -264,7 +288,7 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
         p = _motion(s, d)
         if setting["axes"]:
             return _by_axis("flow", letter, factor * cube(p))
-        return [Part(letter, "flow", factor * _isotropic_cubic(p))]
+        return [Part(letter, "flow", factor * _isotropic_cubic(p)), *_skewed(p, _isotropic_cubic, factor)]
 
     return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
 

@@ -158,12 +158,15 @@ def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
 
 
 def _blurred_records(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """A pick-off's rows filtered otherwise than the drives': its curvature times the difference of the filters' second moments."""
+    """Rows that are slow for what they hold: a pick-off's filtered otherwise than the drives', a switched drive's folded at the rows' rate.
+
+    To second order each is its signal's curvature times a second moment of the size of a row.
+    """
     by_recording = []
     for r in evidence:
         s = r.signals
-        curvature = np.gradient(np.gradient(s.pick, s.row_s, axis=0), s.row_s, axis=0)
-        by_recording.append([Part("record_blur", "output", curvature)])
+        bent = [np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0) for x in (s.pick, s.drive)]
+        by_recording.append([Part("record_blur", "output", bent[0]), Part("drive_blur", "drive", bent[1])])
     row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
     return [replace(c, prior_sd=_ROW_MOMENT * row_s**2) for c in part_columns(evidence, by_recording, linear)]
 
@@ -315,7 +318,7 @@ def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> NDArray[np.f
 
 def _form(evidence: CampaignEvidence, linear: Linear, name: str, sizes: dict[str, float]) -> list[Column]:
     columns = form_columns(evidence, FORMS[name], linear, {})
-    return [Column(f"{name}.{c.name}", c.signal, c.quiet, sizes[c.name]) for c in columns]
+    return [Column(f"{name}.{c.name}", c.signal, c.quiet, sizes[c.name]) for c in columns if c.name in sizes]
 
 
 def _open(r: RecordingEvidence) -> float:

@@ -7,7 +7,7 @@ taken out (``V = p + c o(p)`` solved for p); a few rounds make the equations exa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,9 @@ from .signals import Signals, with_pick
 __all__ = ["relinearised"]
 
 ComplexArray = NDArray[np.complex128]
-_ROUNDS, _INVERSIONS = 4, 3
+_ROUNDS, _INVERSIONS = 4, 12
+#: a pick-off that clips is inverted slowly; when its volts move by less than this there is no more to invert [V]
+_INVERTED_V = 1e-9
 _LEVELS = (0.85, 0.92, 0.97, 0.99, 1.01, 1.03, 1.08, 1.15)
 
 
@@ -40,7 +42,7 @@ def relinearised(model: CampaignModel, chosen: Sequence[Candidate], start: Linea
         sizes = {c.name: {column.name: values[f"{c.name}.{column.name}"] for column in c.columns} for c in current}
         found = [replace(r, signals=with_pick(r.signals, _motion(r.signals, linear, current, sizes))) for r in model.evidence]
         evidence = replace(model.evidence, recordings=tuple(found))
-        again = [_again(evidence, linear, c, c.setting) for c in current]
+        again = [_again(evidence, linear, c, c.setting, sizes[c.name]) for c in current]
         for k, candidate in enumerate(current):
             if "level" in candidate.setting:
                 again[k] = _best_level(model, evidence, linear, again, k)
@@ -48,8 +50,10 @@ def relinearised(model: CampaignModel, chosen: Sequence[Candidate], start: Linea
     return current
 
 
-def _again(evidence: CampaignEvidence, linear: Linear, candidate: Candidate, setting: Setting) -> Candidate:
-    return candidate_at(evidence, linear, candidate.name, setting, candidate.choices)
+def _again(
+    evidence: CampaignEvidence, linear: Linear, candidate: Candidate, setting: Setting, sizes: Mapping[str, float] | None = None
+) -> Candidate:
+    return candidate_at(evidence, linear, candidate.name, setting, candidate.choices, sizes)
 
 
 def _best_level(model: CampaignModel, evidence: CampaignEvidence, linear: Linear, chosen: Sequence[Candidate], k: int) -> Candidate:
@@ -82,5 +86,7 @@ def _motion(signals: Signals, linear: Linear, chosen: Sequence[Candidate], sizes
             for part in FORMS[candidate.name].parts(at, linear, candidate.setting):
                 if part.kind == "output":
                     added = added + sizes[candidate.name][part.parameter] * part.signal
-        pick = signals.pick - added
+        moved, pick = float(np.abs(signals.pick - added - pick).max()), signals.pick - added
+        if moved < _INVERTED_V:
+            break
     return pick

@@ -56,7 +56,7 @@ class Screened:
     gain : float
         Chi-square that it takes away.
     rank : int
-        Independent directions that the nuisances leave of it.
+        Independent directions that the nuisances leave of it and in which it may be larger than the noise.
     log_evidence : float
         Against none, the search over settings paid for.
     values, sd : ndarray, shape (k,)
@@ -142,4 +142,4 @@ class Screener:
         variances = np.maximum(variances, 0.0)
         shrunk = variances / (1.0 + variances) * (axes.T @ inside) ** 2
         log_evidence = 0.5 * float(np.sum(shrunk - np.log1p(variances))) - math.log(candidate.choices)
-        return Screened(candidate, float(inside @ inside), int(kept.sum()), log_evidence, values, sd, absorbed, u)
+        return Screened(candidate, float(inside @ inside), max(int((variances > 1.0).sum()), 1), log_evidence, values, sd, absorbed, u)

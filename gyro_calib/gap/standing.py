@@ -10,7 +10,7 @@ from ..effects import EFFECTS
 from ..quantity import Quantity
 from .candidates import registry_name
 from .diagnosis import Standing
-from .forms import FORMS
+from .forms import FORMS, SKEW
 from .model import CampaignModel
 from .screen import Screened
 from .select import LEAST_GAIN, Selection
@@ -62,6 +62,7 @@ def _status(found: Screened) -> tuple[str, Quantity | None]:
     limits = [
         (_SEEN * float(sd) / effect.parameter(c.name).typical, effect.parameter(c.name), float(sd))
         for c, sd in zip(found.candidate.columns, found.sd, strict=True)
+        if not c.name.startswith(SKEW)
     ]
     ratio, parameter, sd = min(limits, key=lambda item: item[0])
     size = Quantity(_SEEN * sd, sd, parameter.unit)
