@@ -23,7 +23,7 @@ from .nuisance import linear_of
 from .preflight import check_campaign, usable
 from .screen import Screened
 from .select import Selection, select_effects
-from .spectral_effects import SpectralEffects, spectral_effects
+from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
 from .system import Solution
 
@@ -256,8 +256,17 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
     words = []
     for e in effects:
         others = [name for name in e.group if name != e.name]
-        size = ", ".join(f"{k} = {q:.3g}" for k, q in e.parameters.items())
+        size = ", ".join(f"{k} = {_said(q)}" for k, q in e.parameters.items())
         alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
         words.append(f"{e.name} ({size}), or {alike}")
+    if all(e.name in SPECTRAL for e in effects):
+        return f"Present: {'; and '.join(words)}. It stands in the spectrum beside the carrier and leaves the slow flow alone."
     closed = f"{100.0 * min(shrunk.closed, 1.0):.1f} %"
     return f"Present: {'; and '.join(words)}. It closes {closed} of the gap on experiments that it was not found on."
+
+
+def _said(q: Quantity) -> str:
+    """To as many digits as it is known to."""
+    known = q.sd > 0.0 and q.value != 0.0 and math.isfinite(q.sd)
+    digits = int(np.clip(math.log10(abs(q.value) / q.sd) + 2.0, 3, 10)) if known else 3
+    return f"{q.value:.{digits}g} ± {q.sd:.2g} {q.unit}"

@@ -15,7 +15,10 @@ from .noise_growth import NoiseGrowth, noise_growth
 from .spectra import pick_spectra
 from .tones import Tone, find_tone
 
-__all__ = ["SpectralEffects", "spectral_effects"]
+__all__ = ["SPECTRAL", "SpectralEffects", "spectral_effects"]
+
+#: effects that are found here
+SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise")
 
 #: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
 _SIGMA = 6.0
@@ -64,11 +67,7 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
         effects.append(_noisy_gain(growth))
     present = {e.name for e in effects}
     alike = {name: e.name for e in effects for name in e.group[1:]}
-    standings = [
-        _standing(name, present, alike, growth, bool(spectra))
-        for name in ("external_tone", "mains_pickup", "amplitude_noise", *_NOT_TESTABLE)
-        if name not in left_out
-    ]
+    standings = [_standing(name, present, alike, growth, bool(spectra)) for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
     return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings))
 
 
