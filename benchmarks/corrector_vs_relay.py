@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,9 +21,9 @@ from typing import Any
 
 import numpy as np
 from common import Options, Outcome, main, ratio, spread
+from ros_room import ros_room
 
 from gyro_calib.calibration import CalibrationRecord, RecordStore
-from gyro_calib.cli.domain import leased_domain
 from gyro_calib.cli.processes import NODES, NodeGroup, ros_arguments
 from gyro_calib.quantity import Quantity
 from gyro_calib.study import Gate
@@ -144,16 +143,8 @@ def _session() -> Iterator[list[Line]]:
     """The three processes in a domain of their own, connected and answering."""
     import rclpy
 
-    before = dict(os.environ)
-    with tempfile.TemporaryDirectory() as folder, leased_domain() as domain:
-        environment = {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_HOME": folder,
-            "ROS_LOG_DIR": folder,
-            "PYTHONPATH": os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH", "")))),
-        }
-        os.environ.update(environment)
+    path = os.pathsep.join(filter(None, (str(HERE), os.environ.get("PYTHONPATH", ""))))
+    with ros_room(PYTHONPATH=path) as folder:
         RecordStore(f"{folder}/record.yaml", DEVICE).save(_record())
         corrector = {"device_ids": [DEVICE], "record_urls": [f"{folder}/record.yaml"]}
         modules = {
@@ -164,7 +155,7 @@ def _session() -> Iterator[list[Line]]:
         said: list[str] = []
         rclpy.init(args=[])
         try:
-            with NodeGroup(environment, lambda name, line: said.append(f"{name}: {line}")) as group:
+            with NodeGroup({}, lambda name, line: said.append(f"{name}: {line}")) as group:
                 lines = []
                 for k, (name, (module, parameters)) in enumerate(modules.items()):
                     pid = group.start(name, module, ros_arguments(f"line{k}", parameters))
@@ -175,8 +166,6 @@ def _session() -> Iterator[list[Line]]:
                     line.node.destroy_node()
         finally:
             rclpy.try_shutdown()
-            os.environ.clear()
-            os.environ.update(before)
 
 
 def _line(name: str, namespace: str, pid: int) -> Line:

@@ -11,9 +11,7 @@ python benchmarks/navigation.py [--quick] [--seeds 20] [--json FILE]
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from common import Options, Outcome, main
 from numpy.typing import NDArray
+from ros_room import ros_room
 from scipy.interpolate import CubicSpline
 from scipy.stats import chi2
 
 from gyro_calib.calibration import CalibrationRecord, record_from_result
 from gyro_calib.cli.console import print_table, progress_bar
-from gyro_calib.cli.domain import leased_domain
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.estimation import calibrate
 from gyro_calib.experiments import SimulatedInstrument, mission_mode, run_plan, self_calibration_plan
@@ -121,16 +119,9 @@ def _processes() -> Iterator[TripDriver]:
     from ros_helpers import RosSession
     from ros_processes import start_node, wait_for
 
-    before = dict(os.environ)
-    with tempfile.TemporaryDirectory() as folder, leased_domain() as domain:
-        os.environ |= {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_HOME": folder,
-            "ROS_LOG_DIR": folder,
-        }
+    with ros_room() as folder:
         settings = {"covariance_horizon_s": HORIZON_S, "sample_rate_hz": RATE_HZ, "device_ids": ["navigation"]}
-        place: dict[str, Any] = {"folder": Path(folder), "namespace": "/robot"}
+        place: dict[str, Any] = {"folder": folder, "namespace": "/robot"}
         processes = [
             start_node("imu_corrector_node", parameters=settings, **place),
             start_node("consumer_ekf.py", remap={"imu": "imu/data_raw", "odom": "wheels/odom"}, **place),
@@ -143,8 +134,6 @@ def _processes() -> Iterator[TripDriver]:
         finally:
             for process in processes:
                 process.stop()
-            os.environ.clear()
-            os.environ.update(before)
 
 
 def _drive_all(driver: TripDriver, title: str, trips: list[tuple[CalibrationRecord, Trip, FloatArray]]) -> dict[str, Squares]:

@@ -14,7 +14,6 @@ import contextlib
 import os
 import resource
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -24,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from common import Options, Outcome, gate_table, machine
+from ros_room import ros_room
 
 from gyro_calib.cli.console import print_table, progress_bar, write_json
-from gyro_calib.cli.domain import leased_domain
 from gyro_calib.quantity import Quantity
 from gyro_calib.report.table import Table
 from gyro_calib.study import Gate
@@ -83,7 +82,7 @@ def measure(options: Options) -> Outcome:
 def soak(seconds: float) -> Outcome:
     """Run for ``seconds`` and sample."""
     sys.path.insert(0, str(ROOT / "test"))
-    with _room() as folder:
+    with ros_room() as folder:
         from calibration_samples import make_record
         from ros_helpers import RosSession
 
@@ -95,24 +94,6 @@ def soak(seconds: float) -> Outcome:
         with RosSession() as session, _nodes(folder, record.device_id) as processes:
             samples, cpu_s = _run(session, processes, stream, seconds)
     return _outcome(stream, samples, cpu_s, seconds)
-
-
-@contextlib.contextmanager
-def _room() -> Iterator[Path]:
-    """A ROS domain and a folder of its own."""
-    before = dict(os.environ)
-    with tempfile.TemporaryDirectory() as folder, leased_domain() as domain:
-        os.environ |= {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_HOME": folder,
-            "ROS_LOG_DIR": folder,
-        }
-        try:
-            yield Path(folder)
-        finally:
-            os.environ.clear()
-            os.environ.update(before)
 
 
 @contextlib.contextmanager
