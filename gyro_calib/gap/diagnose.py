@@ -222,7 +222,10 @@ def _probabilities(selection: Selection, beside: SpectralEffects) -> tuple[float
         return 0.005, 0.9
     found = [*selection.probabilities, *(e.probability for e in beside.effects)]
     if found:
-        return 1.0 - max(found), 0.02
+        # what is not this effect is another or unnamed: against none the evidence itself speaks
+        strongest = max((e.log_evidence for e in selection.effects), default=50.0)
+        none = 1.0 / (1.0 + math.exp(min(0.5 * (strongest - 4.0), 50.0)))
+        return none, max(1.0 - max(found) - none, 0.0)
     best = max((s.log_evidence for s in selection.screened.values()), default=-10.0)
     against = _NONE_BEFORE / (_NONE_BEFORE + (1.0 - _NONE_BEFORE) * math.exp(min(0.5 * (best - 4.0), 50.0)))
     return float(min(against, 0.98)), 0.01

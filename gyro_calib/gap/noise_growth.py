@@ -21,6 +21,8 @@ __all__ = ["NoiseGrowth", "noise_growth"]
 
 #: band over the rows' rate: above the loops, below where the recorder's filter cuts
 _BAND = (0.06, 0.24)
+#: below this the loops answer to noise, more or less with the amplitude [Hz]
+_ABOVE_LOOPS_HZ = 30.0
 #: least ratio of amplitudes that tells a growth
 _SPAN = 1.3
 _ROUNDS = 6
@@ -70,11 +72,11 @@ class NoiseGrowth:
 
 
 def noise_growth(recordings: Sequence[Recording]) -> NoiseGrowth | None:
-    """Growth of the floor; nothing where the amplitude was not varied."""
+    """Growth of the floor; nothing where the amplitude was not varied or the rows are too slow to see above the loops."""
     groups: dict[tuple[str, float], list[Recording]] = defaultdict(list)
     for r in plain_records(recordings):
         groups[r.command.mode, r.sample_rate_hz].append(r)
-    kept = [members for members in groups.values() if _span(members) > _SPAN]
+    kept = [members for (_, rate_hz), members in groups.items() if _span(members) > _SPAN and _BAND[0] * rate_hz >= _ABOVE_LOOPS_HZ]
     if not kept:
         return None
     floors = [[_floor(r) for r in members] for members in kept]

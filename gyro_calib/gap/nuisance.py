@@ -34,7 +34,7 @@ ComplexArray = NDArray[np.complex128]
 _Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
 
 #: temperature coefficients of healthy devices, sd [1/K]: gains, their differences and phases; damping relative; all small against 1
-_GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 5e-3
+_GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e-5, 5e-3
 #: relative curvature of the damping [1/K^2], of the frequency [1/K^2]
 _DAMPING_PER_K2, _FREQUENCY_PER_K2 = 3e-5, 1e-7
 #: a record that is late by some samples of the converters [s]; a rate table's clock [s]
@@ -242,6 +242,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         ("thermal_drive_gain", _GAIN_PER_K),
         ("thermal_drive_phase", _PHASE_PER_K),
         ("thermal_pickoff_gain", _GAIN_PER_K),
+        ("thermal_pickoff_phase", _PICKOFF_PHASE_PER_K),
     ):
         columns += _form(evidence, linear, name, {"g_x": size, "g_y": size})
     return columns + _gradient_columns(evidence, linear, sd)

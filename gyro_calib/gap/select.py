@@ -24,11 +24,11 @@ __all__ = ["Selection", "Stranger", "select_effects"]
 
 #: least log evidence and chi-square of an effect that is taken up
 MARGIN, LEAST_GAIN = 8.0, 25.0
-#: an effect that is as good as the best within this log evidence is not told apart from it
-_ALIKE = 6.0
+#: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
+_ALIKE, _CLOSE = 6.0, 9.0
 _MOST_EFFECTS = 3
-#: share of strong evidence that blind trials found to name the right group (`benchmarks/README.md`)
-_TRUST = 0.75
+#: log evidence, and the share of it that trials found to name the right group (`benchmarks/README.md`)
+_EVIDENCES, _TRUST = (30.0, 1000.0), (0.75, 0.92)
 _GOLDEN_STEPS = 8
 #: settings that are refined, rounds of those that have two, and how far beyond the ends of its grid one may lie
 _REFINED, _REFINEMENTS, _BEYOND = ("level", "tau", "separation_hz", "half_width_hz"), 3, {"half_width_hz": 4.0}
@@ -284,12 +284,21 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
     mine = model.screener_with(others).screen(chosen[k])
     if mine is None:
         return (name,)
-    return (name, *(s.name for s in _ranked(model, others) if s.name != name and s.log_evidence > mine.log_evidence - _ALIKE))
+    least = min(mine.log_evidence, MARGIN)
+    return (
+        name,
+        *(
+            s.name
+            for s in _ranked(model, others)
+            if s.name != name and (s.log_evidence > mine.log_evidence - _ALIKE or (s.gain > mine.gain - _CLOSE and s.log_evidence > least))
+        ),
+    )
 
 
 def _probability(effect: Screened) -> float:
     """Of the effect against none, both alike before, times how often groups of such evidence were right in blind trials."""
-    return float(_TRUST / (1.0 + np.exp(-0.5 * (effect.log_evidence - MARGIN / 2.0))))
+    trust = float(np.interp(np.log10(max(effect.log_evidence, 1.0)), np.log10(_EVIDENCES), _TRUST))
+    return float(trust / (1.0 + np.exp(-0.5 * (effect.log_evidence - MARGIN / 2.0))))
 
 
 def _stranger(

@@ -23,7 +23,7 @@ def effects_table(diagnosis: Diagnosis) -> Table:
             first = (effect.name, f"{100.0 * effect.probability:.1f} %", effect.location, _others(effect)) if k == 0 else ("", "", "", "")
             rows.append((first[0], f"{name} = {value} ± {sd} {unit}", *first[1:]))
     rows.append(("none of any kind", "", _percent(diagnosis.probability_none), "", ""))
-    rows.append(("not in the catalogue", "", _percent(diagnosis.probability_unknown), "", ""))
+    rows.append(("another, or not in the catalogue", "", _percent(diagnosis.probability_unknown), "", ""))
     return Table("Which effects", ("effect", "size", "probability", "acts in", "cannot be told from"), tuple(rows))
 
 
