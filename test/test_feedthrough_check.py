@@ -99,6 +99,7 @@ def test_feedthrough_that_was_not_measured_widens_the_sd_to_cover_it(device: Dev
     assert np.all(np.abs(off.imag) < 4 * result.feedthrough.sd.imag)
 
 
+@pytest.mark.slow
 def test_chance_is_honest_over_units() -> None:
     """The chance of a right E is spread evenly: neither always small (false alarms) nor always large (blind)."""
     chances = []

@@ -63,6 +63,15 @@ def test_a_temperature_goes_straight_between_recordings() -> None:
     assert np.abs(found - line[-600:]).max() > 1.5
 
 
+def test_clocks_that_begin_anew_say_nothing_of_what_came_before() -> None:
+    first, second = chain()[:2]
+    rows = second.recording.data.copy()
+    rows[:, 0] -= 5.0
+    again = Recording("ring", rows, second.recording.command, 1.0 / ROW_S, "again")
+    overlapping = Signals(again, 2 * np.pi * 15000.0, 1.5, 1, 25.0, 0.0, 1, first)
+    np.testing.assert_allclose(remembered(overlapping, lambda of: of.pick, 2.0)[:, 0], AMPLITUDES_V[1], atol=1e-12)
+
+
 def test_the_lag_of_a_thermometer_spans_recordings() -> None:
     signals = chain(((25.0, 25.0), (25.0, 33.0), (33.0, 33.0)))
     linear = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), complex), 0.8, -2.5)

@@ -55,6 +55,7 @@ def test_channels_agree(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     assert not [name for name in _failed(result) if "over" not in name]
 
 
+@pytest.mark.slow
 def test_hardware_compensates_and_calms(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(precession_hardware, "_FREE_S", 260.0)
     monkeypatch.setattr(precession_hardware, "_PRECESSING_S", 700.0)

@@ -38,8 +38,11 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
         Between recordings the signal is as the later one begins; False: it goes straight there.
     """
     chain = [s]
-    while chain[-1].before is not None and float(s.time_s[0] - chain[-1].time_s[0]) < _FORGOTTEN * tau_s:
-        chain.append(chain[-1].before)
+    while (before := chain[-1].before) is not None and float(s.time_s[0] - chain[-1].time_s[0]) < _FORGOTTEN * tau_s:
+        if before.time_s[-1] > chain[-1].time_s[0]:
+            # clocks that begin anew say nothing of what came before
+            break
+        chain.append(before)
     out, state, earlier = np.zeros(0, complex), None, None
     for here in reversed(chain):
         x = of(here)
@@ -48,7 +51,7 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
             # the first that is known: settled to what it shows over its first time constant
             start = x[: max(1, min(len(x), round(tau_s / here.row_s)))].mean(axis=0)
         else:
-            start = _across(state, earlier[1], first, max(float(here.time_s[0]) - earlier[0], 0.0), tau_s, steady)
+            start = _across(state, earlier[1], first, float(here.time_s[0]) - earlier[0], tau_s, steady)
         out = _low_pass(x, here.row_s, tau_s, start)
         state, earlier = out[-1], (float(here.time_s[-1]), last)
     return out
