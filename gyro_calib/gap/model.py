@@ -141,6 +141,9 @@ def look_at(
     report(0.35, "effects of the registry")
     nuisances = _nuisances(evidence, linear, wander)
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
+    if not _open_drive(evidence):
+        # a resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed
+        candidates = {name: tried for name, tried in candidates.items() if "open drive" not in EFFECTS[name].needs}
     bank = [
         (term, c) for term, c in anonymous_candidates(evidence, linear) if term.depends_on != "speed of change" or _open_drive(evidence)
     ]
