@@ -15,8 +15,9 @@ from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import Diagnosis, diagnose
 from gyro_calib.gap.evidence import CampaignEvidence
-from gyro_calib.gap.forms import FORMS, SKEW, Linear
+from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.noise_law import Lines, fit_law
+from gyro_calib.gap.parts import SKEW, Linear
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from gyro_calib.gap.forms import FORMS, Linear
+from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.memory import remembered
-from gyro_calib.gap.signals import Signals
+from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.recording import Recording
@@ -50,6 +53,23 @@ def test_an_amplitude_that_was_set_before_is_remembered(tau_s: float) -> None:
     if tau_s == 10.0:
         alone = Signals(signals[2].recording, 2 * np.pi * 15000.0, 1.5, 1, 25.0, 0.0, 2)
         assert abs(remembered(alone, lambda of: of.pick, tau_s)[0, 0].real - expected[2 * (600 + breaks)]) > 0.2
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.4, -1.1])
+def test_a_wave_that_precesses_has_precessed_before(speed_rad_s: float) -> None:
+    """A pattern that turns at one speed through two recordings and the break between them, and long before."""
+    tau_s, signals = 4.0, []
+    for s in chain()[:2]:
+        angle = speed_rad_s * s.time_s
+        pattern = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(complex)
+        signals.append(with_pick(replace(s, before=signals[-1] if signals else None), pattern))
+    lag, size = np.arctan(speed_rad_s * tau_s), 1.0 / np.hypot(1.0, speed_rad_s * tau_s)
+    for s in signals:
+        angle = speed_rad_s * s.time_s - lag
+        found = remembered(s, lambda of: of.pick, tau_s)
+        np.testing.assert_allclose(found, size * np.stack([np.cos(angle), np.sin(angle)], axis=1), atol=0.01)
+    # what is taken to have stood still before is wrong by a lot
+    assert np.abs(remembered(signals[0], lambda of: of.pick[:, :1], tau_s)[0, 0] - size * np.cos(lag)) > 0.1
 
 
 def test_a_temperature_goes_straight_between_recordings() -> None:

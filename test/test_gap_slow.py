@@ -51,7 +51,7 @@ def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of
     base = draw_unit(load_device("ring_15k"), 5)
     device = replace(base, effects={"thermal_pickoff_gain": truth}, pickoff=replace(base.pickoff, gain_tempco_per_k=0.0))
     instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
-    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
+    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick", abilities=SimulatedInstrument.abilities))
     factory = campaign.factory
     model = look_at(list(campaign), math.pi * factory["nominal_f0_hz"] / factory["nominal_q"], factory["angular_gain_kappa"])
     chosen = relinearised(model, [model.candidates["thermal_pickoff_gain"][0]])

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gyro_calib.gap.forms import Linear
 from gyro_calib.gap.noise_growth import noise_growth
+from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.spectra import pick_spectra
 from gyro_calib.gap.spectral_effects import spectral_effects
 from gyro_calib.gap.tones import find_tone

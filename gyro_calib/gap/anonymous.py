@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import Form, Kind, Linear, Part, Setting, conjugate_product
+from .forms import conjugate_product
 from .memory import remembered
+from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
 from .signals import Signals
 
@@ -121,6 +122,10 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
 }
 
 
+#: on what a term may depend that follows its signal at once
+_AT_ONCE = ("amplitude", "temperature", "time")
+
+
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
     """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
     found = []
@@ -130,7 +135,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                 # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate
                 continue
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
-                form = _form(kind, monomials, factor)
+                form = _form(kind, monomials, factor, at_once=depends in _AT_ONCE)
                 columns = tuple(form_columns(evidence, form, linear, {}))
                 if not any(np.any(v) for c in columns for v in c.signal):
                     continue
@@ -139,8 +144,10 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
     return found
 
 
-def _form(kind: Kind, monomials: list[Monomial], factor: complex) -> Form:
+def _form(kind: Kind, monomials: list[Monomial], factor: complex, *, at_once: bool) -> Form:
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        if kind == "output" and at_once:
+            return [read_at_once(f"c_{k}", s, d, lambda v, f=f: factor * f(s, v)) for k, f in enumerate(monomials)]  # type: ignore[misc]
         x = s.drive if kind == "drive" else s.pick if kind == "output" else s.pick - s.drive @ d.E.T
         return [Part(f"c_{k}", kind, factor * f(s, x)) for k, f in enumerate(monomials)]
 

@@ -9,7 +9,8 @@ import numpy as np
 from ..effects import EFFECTS
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import FORMS, SKEW, Linear, Setting
+from .forms import FORMS
+from .parts import SKEW, Linear, Setting
 from .screen import Candidate
 
 __all__ = ["candidate_at", "candidates_of", "registry_name"]

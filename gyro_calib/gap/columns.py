@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .evidence import CampaignEvidence, RecordingEvidence
-from .forms import SKEW, Form, Linear, Part, Setting
+from .parts import SKEW, Form, Linear, Part, Setting
 from .signals import Projector
 
 __all__ = ["QUIET", "SIGNAL", "Column", "Place", "form_columns", "part_columns"]
@@ -83,10 +83,12 @@ def _projected(projector: Projector, parts: list[Part], linear: Linear) -> list[
             flow.append(part.signal)
         elif part.kind == "drive":
             flow.append(part.signal @ linear.G.T)
+        elif part.speed is not None:
+            flow.append(part.speed - linear.resting(projector.signals, part.signal))
         else:
             flow.append(-linear.acting(projector.signals, part.signal))
     out = list(projector.plain(np.stack(flow, axis=1)).T)
-    outputs = [k for k, part in enumerate(parts) if part.kind == "output"]
+    outputs = [k for k, part in enumerate(parts) if part.kind == "output" and part.speed is None]
     if outputs:
         through = projector.through_flow(np.stack([parts[k].signal for k in outputs], axis=1))
         for column, k in zip(through.T, outputs, strict=True):

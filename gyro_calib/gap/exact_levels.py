@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import Column
-from .forms import FORMS, Linear
+from .forms import FORMS
 from .model import CampaignModel
 from .nuisance import linear_of
+from .parts import Linear
 from .system import solve
 
 __all__ = ["ExactLevel", "best_exact_level"]

@@ -7,8 +7,7 @@ linear in its parameters. What is not (a level, a time constant, a frequency) is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -16,14 +15,13 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from .memory import remembered
+from .parts import SKEW, Form, Kind, Linear, Part, Setting, read_at_once
 from .signals import Signals
 
-__all__ = ["FORMS", "SKEW", "Form", "Linear", "Part", "Setting", "conjugate_product", "cube"]
+__all__ = ["FORMS", "conjugate_product", "cube"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-#: a part that is no parameter of its effect: what the unit's own pick-offs make of it
-SKEW = "skew"
 #: how pick-offs differ: gain and phase of one over the other, and what each reads of the other's motion
 _UNLIKE: dict[str, ComplexArray] = {
     "gain": np.diag([-0.5, 0.5]).astype(np.complex128),
@@ -32,74 +30,9 @@ _UNLIKE: dict[str, ComplexArray] = {
     "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
 }
 _STEP = 1e-4
-#: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
-Kind = Literal["flow", "drive", "output"]
-_LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008, 0.004, 0.0015])
+_LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008, 0.004, 1.5e-3, 6e-4, 2e-4, 8e-5])
 _COARSE = np.geomspace(0.4, 4.0, 10)
 _DEAD = np.geomspace(1e-4, 0.4, 14)
-#: values of the parameters that are not linear
-Setting = Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Linear:
-    """What the forms need to know of the linear device.
-
-    Parameters
-    ----------
-    A, G, E : ndarray, shape (2, 2), complex
-    angular_gain : float
-        kappa as the factory states it.
-    frequency_slope_rad_s_k : float
-        Change of the resonance with temperature.
-    detuning_rad_s : tuple of ndarray
-        By recording and row how far the resonance lay from the frequency of reference, by temperature and by its wander; empty: as the
-        slope says.
-    """
-
-    A: ComplexArray
-    G: ComplexArray
-    E: ComplexArray
-    angular_gain: float
-    frequency_slope_rad_s_k: float
-    detuning_rad_s: tuple[FloatArray, ...] = ()
-
-    def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
-        """A x, with A at each row's resonance and applied rate, shape (n, 2)."""
-        turning = self.angular_gain * s.rate_rad_s[:, None] * _turned(x)
-        return np.asarray(x @ self.A.T + 1j * self.detuning(s)[:, None] * x - turning)
-
-    def detuning(self, s: Signals) -> FloatArray:
-        """How far the resonance lay from the frequency of reference [rad/s], shape (n,)."""
-        return self.detuning_rad_s[s.index] if self.detuning_rad_s else self.frequency_slope_rad_s_k * s.temperature_k
-
-
-@dataclass(frozen=True)
-class Part:
-    """Signal (n, 2) that one unit of a parameter adds, and where."""
-
-    parameter: str
-    kind: Kind
-    signal: ComplexArray
-
-
-@dataclass(frozen=True)
-class Form:
-    """Envelope form of an effect.
-
-    Parameters
-    ----------
-    parts : callable
-        (signals, linear device, setting) -> parts.
-    settings : callable
-        (all signals) -> settings to try (one empty setting where the effect is linear in all its parameters).
-    per_axis : str or None
-        Name in the registry of the variant whose setting has ``axes`` = 1.
-    """
-
-    parts: Callable[[Signals, Linear, Setting], list[Part]]
-    settings: Callable[[list[Signals]], list[Setting]] = lambda signals: [{}]
-    per_axis: str | None = None
 
 
 def cube(x: ComplexArray) -> ComplexArray:
@@ -152,6 +85,12 @@ def _swapped(x: ComplexArray) -> ComplexArray:
 
 def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
     return [Part(f"{letter}_{name}", kind, _only(x, axis)) for axis, name in enumerate("xy")]
+
+
+def _velocity(s: Signals, d: Linear) -> ComplexArray:
+    """What damping acts on, over i omega0: of a wave that turns or grows the velocity is not quite the motion a quarter period on."""
+    p = _motion(s, d)
+    return np.asarray(p + np.gradient(p, s.row_s, axis=0) / (1j * s.omega0_rad_s))
 
 
 def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
@@ -212,7 +151,7 @@ def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """A resonance of its own, which follows the temperature as the gyro's does; an open drive has held it in its steady state."""
     pole = 2.0 * np.pi * complex(-setting["half_width_hz"], setting["separation_hz"])
     force = s.drive.sum(axis=1)
-    behind = s.omega_rad_s - s.omega0_rad_s - d.detuning(s)
+    behind = s.omega_rad_s - s.omega0_rad_s - d.moved(s).imag
     if s.recording.command.mode == "loops_off":
         answer = force / (1j * behind - pole)
     else:
@@ -293,8 +232,12 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
     return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
 
 
-def _environment(parameter: str, x: Callable[[Signals], FloatArray], factor: complex) -> Form:
-    return Form(lambda s, d, g: [Part(parameter, "flow", factor * x(s)[:, None] * _motion(s, d))])
+def _stiffness(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
+    return Form(lambda s, d, g: [Part(parameter, "flow", 1j * x(s)[:, None] * _motion(s, d))])
+
+
+def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
+    return Form(lambda s, d, g: [Part(parameter, "flow", -x(s)[:, None] * _velocity(s, d))])
 
 
 def _warm(s: Signals) -> FloatArray:
@@ -309,8 +252,15 @@ def _scaled(kind: Kind, letter: str, of: Literal["pick", "drive"], x: Callable[[
     return Form(lambda s, d, g: _by_axis(kind, letter, factor * x(s)[:, None] * getattr(s, of)))
 
 
-def _static(kind: Kind, letter: str, of: Literal["pick", "drive"], factor: complex) -> Form:
-    return Form(lambda s, d, g: _by_axis(kind, letter, factor * cube(getattr(s, of))))
+def _driven_cube(letter: str, factor: complex) -> Form:
+    return Form(lambda s, d, g: _by_axis("drive", letter, factor * cube(s.drive)))
+
+
+def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray]) -> Form:
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: _only(f(s, v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+
+    return Form(parts)
 
 
 def _rate(s: Signals) -> FloatArray:
@@ -331,8 +281,8 @@ FORMS: dict[str, Form] = {
     "parametric_pump": Form(lambda s, d, g: [Part(f"h_{n}", "flow", f * _motion(s, d).conj()) for n, f in (("c", 1.0), ("s", 1j))]),
     "constant_force": Form(_constant("drive", "f"), _with_or_without_open_drive),
     # drive
-    "drive_nonlinearity": _static("drive", "d", "drive", 1.0),
-    "drive_amplitude_phase": _static("drive", "d", "drive", 1j),
+    "drive_nonlinearity": _driven_cube("d", 1.0),
+    "drive_amplitude_phase": _driven_cube("d", 1j),
     "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
     "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", _clipped(s.drive, g["level"]))], _levels("drive", _LIMITS)),
@@ -340,34 +290,34 @@ FORMS: dict[str, Form] = {
     "drive_lag": Form(lambda s, d, g: [Part("tau", "drive", _lag(s, s.drive))]),
     "drive_memory": Form(lambda s, d, g: [Part("share", "drive", remembered(s, lambda of: of.drive, g["tau"]))], _times(0.05, 5.0, 5)),
     # pick-off
-    "pickoff_nonlinearity": _static("output", "c", "pick", 1.0),
-    "pickoff_amplitude_phase": _static("output", "c", "pick", 1j),
-    "pickoff_cross_nonlinearity": Form(lambda s, d, g: [Part("c", "output", _swapped(cube(s.pick)))]),
-    "pickoff_saturation": Form(lambda s, d, g: [Part("share", "output", _clipped(s.pick, g["level"]))], _levels("pick", _LIMITS)),
+    "pickoff_nonlinearity": _read_by_axis("c", lambda s, v: cube(v)),
+    "pickoff_amplitude_phase": _read_by_axis("c", lambda s, v: 1j * cube(v)),
+    "pickoff_cross_nonlinearity": Form(lambda s, d, g: [read_at_once("c", s, d, lambda v: _swapped(cube(v)))]),
+    "pickoff_saturation": Form(lambda s, d, g: [read_at_once("share", s, d, lambda v: _clipped(v, g["level"]))], _levels("pick", _LIMITS)),
     "pickoff_lag": Form(lambda s, d, g: [Part("tau", "output", _lag(s, s.pick))]),
     "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", remembered(s, lambda of: of.pick, g["tau"]))], _times(0.05, 5.0, 5)),
     "pickoff_interference": Form(_constant("output", "v"), _with_or_without_open_drive),
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", _only(_lag(s, s.pick), 1))]),
     # environment
-    "thermal_damping": _environment("c", _warm, -1.0),
-    "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _motion(s, d), -1.0)),
-    "thermal_frequency_curvature": _environment("k", lambda s: s.temperature_k**2, 1j),
+    "thermal_damping": _damping("c", _warm),
+    "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
+    "thermal_frequency_curvature": _stiffness("k", lambda s: s.temperature_k**2),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 11)),
     "thermal_drive_gain": _scaled("drive", "g", "drive", _warm, 1.0),
     "thermal_drive_phase": _scaled("drive", "g", "drive", _warm, 1j),
-    "thermal_pickoff_gain": _scaled("output", "g", "pick", _warm, 1.0),
-    "thermal_pickoff_phase": _scaled("output", "g", "pick", _warm, 1j),
+    "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
+    "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
     "thermal_feedthrough": _scaled("output", "e", "drive", _warm, 1.0),
-    "frequency_ageing": _environment("k", _late, 1j),
-    "damping_drift": _environment("c", _late, -1.0),
+    "frequency_ageing": _stiffness("k", _late),
+    "damping_drift": _damping("c", _late),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * _motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
     "drive_gain_drift": _scaled("drive", "g", "drive", _late, 1.0),
     "drive_phase_drift": _scaled("drive", "g", "drive", _late, 1j),
-    "pickoff_gain_drift": _scaled("output", "g", "pick", _late, 1.0),
-    "centrifugal_stiffness": _environment("k", lambda s: s.rate_rad_s**2, 1j),
-    "rate_dependent_damping": _environment("c", _rate, -1.0),
+    "pickoff_gain_drift": _read_by_axis("g", lambda s, v: _late(s)[:, None] * v),
+    "centrifugal_stiffness": _stiffness("k", lambda s: s.rate_rad_s**2),
+    "rate_dependent_damping": _damping("c", _rate),
     "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * _turned(_motion(s, d)))]),
     "rate_nonlinearity": Form(
         lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * _turned(_motion(s, d)))]

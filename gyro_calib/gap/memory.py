@@ -1,7 +1,8 @@
 """First-order memories, carried from one recording to the next: what a charge, a relaxing stiffness or a warm frame still know of before.
 
 A memory of seconds has not settled when a recording begins: it holds some of the setting before. Between two recordings what it remembers
-is taken to have been as the second begins (a command is given at once), a temperature to have gone straight from the one to the other.
+is taken to have been as the second begins (a command is given at once), and a wave that precesses then to have precessed before; a
+temperature to have gone straight from the one to the other.
 """
 
 from __future__ import annotations
@@ -16,11 +17,15 @@ from .signals import Signals
 
 __all__ = ["remembered"]
 
+FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: time constants after which a memory is over
 _FORGOTTEN = 6.0
-#: rows at the ends of a recording whose mean is its value there [s]
-_END_S = 0.1
+#: rows at the ends of a recording whose mean is its value there; over which a wave's precession is read [s]
+_END_S, _TURN_S = 0.1, 1.0
+#: signals of two axes as what turns with the pattern and against it
+_CIRCULAR = np.array([[1.0, 1.0], [1j, -1j]])
+_AXES = np.linalg.inv(_CIRCULAR)
 
 
 def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, *, steady: bool = True) -> ComplexArray:
@@ -43,32 +48,55 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
             # clocks that begin anew say nothing of what came before
             break
         chain.append(before)
+    signals = [of(here) for here in reversed(chain)]
+    turning = steady and signals[0].shape[1] == _AXES.shape[0]
     out, state, earlier = np.zeros(0, complex), None, None
-    for here in reversed(chain):
-        x = of(here)
-        first, last = _ends(here, x)
+    for here, axes in zip(reversed(chain), signals, strict=True):
+        x = axes @ _CIRCULAR if turning else axes
+        speed = _speed(x, here.row_s) if turning else np.zeros(x.shape[1])
+        first = _begun(x[: _rows(_END_S, here)], here.row_s, speed)
         if state is None or earlier is None:
             # the first that is known: settled to what it shows over its first time constant
-            start = x[: max(1, min(len(x), round(tau_s / here.row_s)))].mean(axis=0)
+            start = _begun(x[: _rows(tau_s, here)], here.row_s, speed) / (1.0 + 1j * speed * tau_s)
+        elif steady:
+            start = _held(state, first, float(here.time_s[0]) - earlier[0], tau_s, speed)
         else:
-            start = _across(state, earlier[1], first, float(here.time_s[0]) - earlier[0], tau_s, steady)
+            start = _straight(state, earlier[1], first, float(here.time_s[0]) - earlier[0], tau_s)
         out = _low_pass(x, here.row_s, tau_s, start)
-        state, earlier = out[-1], (float(here.time_s[-1]), last)
-    return out
+        state, earlier = out[-1], (float(here.time_s[-1]), x[-_rows(_END_S, here) :].mean(axis=0))
+    return out @ _AXES if turning else out
 
 
-def _ends(s: Signals, x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    rows = max(1, min(len(x), round(_END_S / s.row_s)))
-    return x[:rows].mean(axis=0), x[-rows:].mean(axis=0)
+def _speed(x: ComplexArray, row_s: float) -> FloatArray:
+    """Angular frequency of each column as it begins [rad/s]."""
+    rows = min(len(x), round(_TURN_S / row_s))
+    lag = max(rows // 2, 1)
+    return np.asarray(np.angle(np.sum(x[: rows - lag].conj() * x[lag:rows], axis=0)) / (lag * row_s))
 
 
-def _across(state: ComplexArray, last: ComplexArray, first: ComplexArray, gap_s: float, tau_s: float, steady: bool) -> ComplexArray:
-    """The memory after a gap."""
-    left = np.exp(-gap_s / tau_s)
-    if steady or gap_s == 0.0:
-        return np.asarray(first + (state - first) * left)
+def _begun(x: ComplexArray, row_s: float, speed: FloatArray) -> ComplexArray:
+    """Mean of some rows, turned back to the first of them."""
+    back = np.exp(-1j * speed * (np.arange(len(x)) * row_s)[:, None])
+    return np.asarray((x * back).mean(axis=0))
+
+
+def _rows(span_s: float, s: Signals) -> int:
+    return max(1, min(len(s.time_s), round(span_s / s.row_s)))
+
+
+def _held(state: ComplexArray, first: ComplexArray, gap_s: float, tau_s: float, speed: FloatArray) -> ComplexArray:
+    """The memory after a gap in which the signal was as it begins then, but for its turning."""
+    return np.asarray(
+        state * np.exp(-gap_s / tau_s) + first * (1.0 - np.exp(-gap_s * (1.0 / tau_s + 1j * speed))) / (1.0 + 1j * speed * tau_s)
+    )
+
+
+def _straight(state: ComplexArray, last: ComplexArray, first: ComplexArray, gap_s: float, tau_s: float) -> ComplexArray:
+    """The memory after a gap in which the signal went straight."""
+    if gap_s == 0.0:
+        return state
     behind = tau_s * (first - last) / gap_s
-    return np.asarray(first - behind + (state - last + behind) * left)
+    return np.asarray(first - behind + (state - last + behind) * np.exp(-gap_s / tau_s))
 
 
 def _low_pass(x: ComplexArray, row_s: float, tau_s: float, start: ComplexArray) -> ComplexArray:

@@ -14,9 +14,20 @@ from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .columns import Column
 from .evidence import CampaignEvidence
-from .forms import Linear, Setting
 from .noise import first_noise, measured_noise
-from .nuisance import frequency_columns, linear_columns, linear_of, slow_columns, target_of, thermal_columns, wander_columns, with_wander
+from .nuisance import (
+    TEMPERATURE_SPAN_K,
+    frequency_columns,
+    linear_columns,
+    linear_of,
+    slow_columns,
+    span_k,
+    target_of,
+    thermal_columns,
+    wander_columns,
+    with_wander,
+)
+from .parts import Linear, Setting
 from .preflight import check_linear
 from .screen import Candidate, Screener
 from .slow import measured_drifts, slow_drifts, with_drifts
@@ -31,6 +42,9 @@ _WANDER, _LEAST_WANDER, _MOST_WANDER = 5e-8, 0.3, 10.0
 _SATURATED_SETTINGS = 4
 #: columns of the saturated model over equations, at most
 _SATURATION = 0.5
+
+#: what an unnamed term that depends on something needs
+_NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
 
 #: effects with a memory, or that feed through
 _FAST = (
@@ -141,12 +155,9 @@ def look_at(
     report(0.35, "effects of the registry")
     nuisances = _nuisances(evidence, linear, wander)
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
-    if not _open_drive(evidence):
-        # a resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed
-        candidates = {name: tried for name, tried in candidates.items() if "open drive" not in EFFECTS[name].needs}
-    bank = [
-        (term, c) for term, c in anonymous_candidates(evidence, linear) if term.depends_on != "speed of change" or _open_drive(evidence)
-    ]
+    missing = _missing(evidence)
+    candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}
+    bank = [(term, c) for term, c in anonymous_candidates(evidence, linear) if _NEEDED.get(term.depends_on) not in missing]
     # a wave that is turned shows what depends on rate, whatever its name
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
     report(0.75, "noise")
@@ -208,6 +219,16 @@ def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: f
 def _open_drive(evidence: CampaignEvidence) -> bool:
     """Whether open drive of both axes tells the feedthrough; otherwise what changes fast is told from the loops' noise by nothing."""
     return {e.axis for r in evidence if (e := r.recording.command.excitation).kind == "drive"} == {"x", "y"}
+
+
+def _missing(evidence: CampaignEvidence) -> set[str]:
+    """What these recordings do not have, of what effects need.
+
+    A resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed; a temperature
+    that only wanders is the thermometer's noise.
+    """
+    there = {"open drive": _open_drive(evidence), "temperature": span_k(evidence) >= TEMPERATURE_SPAN_K}
+    return {name for name, yes in there.items() if not yes}
 
 
 def _saturated(

@@ -15,21 +15,25 @@ from numpy.typing import NDArray
 from ..estimation.wave_projection import WaveProjected
 from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .forms import FORMS, Linear, Part
+from .forms import FORMS
+from .parts import Linear, Part
 from .signals import SMOOTH_S
 
 __all__ = [
+    "TEMPERATURE_SPAN_K",
     "frequency_columns",
     "linear_columns",
     "linear_of",
     "quiet_target_of",
     "slow_columns",
+    "span_k",
     "target_of",
     "thermal_columns",
     "wander_columns",
     "with_wander",
 ]
 
+FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
 
@@ -50,7 +54,8 @@ _SENSOR_LAG_S, _GRADIENT_LAG_S = 0.03, 0.3
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
 _FEEDTHROUGH, _ROW_MOMENT = 2e-3, 1.0
 _TURNED_RAD = np.pi
-_TEMPERATURE_SPAN_K = 0.5
+#: temperature's span over a campaign from which on a healthy device's coefficients are allowed for, and from which on they can be measured
+_NOTICED_K, TEMPERATURE_SPAN_K = 0.02, 0.5
 
 
 def _collected(
@@ -187,7 +192,7 @@ def frequency_columns(evidence: CampaignEvidence, feedthrough: ComplexArray | No
     Far from the temperature of reference that is no small matter: 10 K of silica and E = 2e-4 are 1e-2 rad/s of the drive.
     """
     columns = _warming("frequency_per_k", "warm", evidence, feedthrough, np.inf)
-    if _span_k(evidence) >= _TEMPERATURE_SPAN_K:
+    if span_k(evidence) >= TEMPERATURE_SPAN_K:
         columns += _warming("frequency_per_k2", "warm2", evidence, feedthrough, _FREQUENCY_PER_K2 * evidence.omega0_rad_s)
     return columns
 
@@ -217,7 +222,8 @@ def _warming(name: str, term: str, evidence: CampaignEvidence, feedthrough: Comp
     return [Column(name, sides[0], sides[1], prior_sd)] if any(np.any(v) for v in sides[0]) else []
 
 
-def _span_k(evidence: CampaignEvidence) -> float:
+def span_k(evidence: CampaignEvidence) -> float:
+    """Span of the temperature over a campaign [K]."""
     return float(np.ptp(np.concatenate([r.signals.temperature_k for r in evidence])))
 
 
@@ -226,7 +232,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     columns: list[Column] = []
     columns += _form(evidence, linear, "drive_lag", {"tau": _LAG_S})
     columns += _blurred_records(evidence, linear)
-    if _span_k(evidence) < _TEMPERATURE_SPAN_K:
+    if span_k(evidence) < _NOTICED_K:
         return columns
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
     columns += _blurred_temperature(evidence, linear)
@@ -304,12 +310,19 @@ def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_g
         return np.array(entries).reshape(2, 2)
 
     A, reduced, E = matrix("A"), matrix("G"), matrix("E")
-    detuning = tuple(_detuning(r, values) for r in evidence)
-    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), detuning)
+    moved = tuple(_moved(r, values) for r in evidence)
+    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), moved)
 
 
-def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> NDArray[np.float64]:
-    """How far the resonance lay from the frequency of reference, row by row: what a pick-off that errs is multiplied by."""
+def _moved(r: RecordingEvidence, values: Mapping[str, float]) -> ComplexArray:
+    """What the diagonal of A gained row by row: a pick-off that errs is multiplied by that too."""
+    warm = r.signals.temperature_k
+    damping = values.get("damping_per_k2", 0.0) * warm**2 - values.get("thermal_damping.c", 0.0) * warm
+    return np.asarray(damping + 1j * _detuning(r, values))
+
+
+def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
+    """How far the resonance lay from the frequency of reference, row by row, by its temperature and its wander."""
     s, slope = r.signals, values.get("frequency_per_k", 0.0)
     warm = slope * s.temperature_k + values.get("frequency_per_k2", 0.0) * s.temperature_k**2
     late = -slope * values.get("thermal_lag.tau", 0.0) * np.gradient(s.temperature_k, s.row_s)

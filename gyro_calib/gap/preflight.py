@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import DataError
 from ..recording.recording import Campaign, Recording
-from .forms import Linear
+from .parts import Linear
 
 __all__ = ["check_campaign", "check_linear", "usable"]
 

@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import Column
-from .forms import Setting
+from .parts import Setting
 from .system import Whitener
 
 __all__ = ["Candidate", "Screened", "Screener"]
 
 FloatArray = NDArray[np.float64]
-#: singular values below this share of the column's norm are directions that the nuisances imitate
-_ABSORBED = 1e-4
+#: singular values below this share of the column's norm are directions that the nuisances imitate; of an effect that a healthy device has
+#: as well, and that is larger than a healthy device has it, the nuisance is the effect itself and imitates it but for its prior
+_ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ class Screener:
 
     def __init__(self, whitener: Whitener, nuisances: Sequence[Column], target: Sequence[NDArray[np.complex128]]) -> None:
         self._whitener, self._count = whitener, len(target)
+        self._healthy = {c.name.split(".")[0] for c in nuisances}
         design = whitener.design(nuisances, self._count)
         prior = np.array([c.prior_sd for c in nuisances])
         held = np.isfinite(prior)
@@ -128,7 +130,7 @@ class Screener:
             return None
         scale = np.where(used, norms, 1.0)
         u, s, vt = np.linalg.svd(clean / scale, full_matrices=False)
-        kept = s > _ABSORBED
+        kept = s > (_ABSORBED_BY_ITSELF if candidate.name in self._healthy else _ABSORBED)
         absorbed = 1.0 - float(np.min(np.linalg.norm(clean[:, used], axis=0) / norms[used]))
         if not kept.any():
             return None

@@ -17,6 +17,7 @@ from .anonymous import Anonymous
 from .candidates import registry_name
 from .exact_levels import best_exact_level
 from .model import CampaignModel
+from .parts import SKEW
 from .relinearise import relinearised
 from .screen import Candidate, Screened, Screener
 
@@ -31,7 +32,10 @@ _MOST_EFFECTS = 3
 _EVIDENCES, _TRUST = (30.0, 1000.0), (0.75, 0.92)
 _GOLDEN_STEPS = 8
 #: settings that are refined, rounds of those that have two, and how far beyond the ends of its grid one may lie
-_REFINED, _REFINEMENTS, _BEYOND = ("level", "tau", "separation_hz", "half_width_hz"), 3, {"half_width_hz": 4.0}
+_REFINED, _REFINEMENTS = ("level", "tau", "separation_hz", "half_width_hz"), 3
+_BEYOND = {"half_width_hz": (4.0, 4.0), "tau": (1.0, 3.0)}
+#: effects that are refined before one is taken: those of so much of the best one's log evidence, and how many at most
+_NEAR, _CONTENDERS = 0.75, 4
 #: share of an effect's gain that its form, of first order, may leave
 _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
@@ -139,14 +143,14 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen: list[Candidate] = []
     ranked, largest = first, first[0].gain if first else 0.0
     while ranked and _enough(ranked[0], largest) and len(chosen) < _MOST_EFFECTS:
-        chosen.append(ranked[0].candidate)
+        chosen.append(_best_refined(model, chosen, ranked))
         # about the device that holds it: what its first order leaves would pass for the next effect
-        chosen = relinearised(model, [*chosen[:-1], _refined(model, chosen, len(chosen) - 1)])
+        chosen = relinearised(model, chosen)
         ranked = _ranked(model, chosen)
     if not chosen:
         chosen = _pair(model, first)
     chosen = _improved(model, chosen, largest)
-    chosen = [_refined(model, chosen, k) for k in range(len(chosen))]
+    chosen = [_refined(model, model.screener_with(_without(chosen, k)), c) for k, c in enumerate(chosen)]
     chosen, effects = _settled(model, chosen, largest)
     _, effects = _or_exact_level(model, chosen, effects)
     chosen = [e.candidate for e in effects]
@@ -207,10 +211,17 @@ def _or_exact_level(
     return (alone, found) if good else (chosen, effects)
 
 
-def _refined(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> Candidate:
-    """The candidate in place k with its settings between the points of the grid, one after the other by golden section on the evidence."""
-    screener = model.screener_with([c for j, c in enumerate(chosen) if j != k])
-    candidate = chosen[k]
+def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Sequence[Screened]) -> Candidate:
+    """The best beside those chosen, at its best setting: one that comes near on the grid may be better between its points."""
+    screener = model.screener_with(chosen)
+    near = [s.candidate for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
+    refined = [_refined(model, screener, c) for c in near]
+    found = [s for c in refined if (s := screener.screen(c)) is not None]
+    return max(found, key=lambda s: s.log_evidence).candidate
+
+
+def _refined(model: CampaignModel, screener: Screener, candidate: Candidate) -> Candidate:
+    """The candidate with its settings between the points of the grid, one after the other by golden section on the evidence."""
     keys = [name for name in _REFINED if name in candidate.setting]
     for key in keys * (_REFINEMENTS if len(keys) > 1 else 1):
         candidate = _refined_along(model, screener, candidate, key)
@@ -223,8 +234,9 @@ def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidat
     below, above = grid[grid < here], grid[grid > here]
     low, high = (float(below[-1]) if below.size else here), (float(above[0]) if above.size else here)
     if key in _BEYOND:
-        # a width has no natural ends: a grid of two may lie to one side of it
-        low, high = (low if below.size else here / _BEYOND[key]), (high if above.size else here * _BEYOND[key])
+        # a width or a long time has no natural end: it may lie beyond its grid's
+        down, up = _BEYOND[key]
+        low, high = (low if below.size else here / down), (high if above.size else here * up)
     tried: dict[float, tuple[float, Candidate]] = {}
 
     def evidence(value: float) -> float:
@@ -249,6 +261,10 @@ def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidat
     return max(tried.values(), key=lambda pair: pair[0])[1]
 
 
+def _without(chosen: Sequence[Candidate], k: int) -> list[Candidate]:
+    return [c for j, c in enumerate(chosen) if j != k]
+
+
 def _improved(model: CampaignModel, chosen: list[Candidate], largest: float) -> list[Candidate]:
     """Drop what the others make needless; swap one for what does better in its place."""
     for _ in range(2):
@@ -256,7 +272,7 @@ def _improved(model: CampaignModel, chosen: list[Candidate], largest: float) -> 
         for k in range(len(chosen)):
             if k >= len(chosen) or len(chosen) < 2:
                 break
-            others = [c for j, c in enumerate(chosen) if j != k]
+            others = _without(chosen, k)
             ranked = _ranked(model, others)
             if ranked and _enough(ranked[0], largest):
                 chosen[k] = ranked[0].candidate
@@ -271,7 +287,7 @@ def _together(model: CampaignModel, chosen: Sequence[Candidate]) -> tuple[Screen
     """Each effect beside the others."""
     found = []
     for k, candidate in enumerate(chosen):
-        screened = model.screener_with([c for j, c in enumerate(chosen) if j != k]).screen(candidate)
+        screened = model.screener_with(_without(chosen, k)).screen(candidate)
         if screened is not None:
             found.append(screened)
     return tuple(found)
@@ -279,18 +295,18 @@ def _together(model: CampaignModel, chosen: Sequence[Candidate]) -> tuple[Screen
 
 def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[str, ...]:
     """The effect in place k and those that would do as well in its place."""
-    others = [c for j, c in enumerate(chosen) if j != k]
+    others = _without(chosen, k)
     name = chosen[k].name
     mine = model.screener_with(others).screen(chosen[k])
     if mine is None:
         return (name,)
-    least = min(mine.log_evidence, MARGIN)
+    least, alike = min(mine.log_evidence, MARGIN), max(mine.log_evidence - _ALIKE, 0.0)
     return (
         name,
         *(
             s.name
             for s in _ranked(model, others)
-            if s.name != name and (s.log_evidence > mine.log_evidence - _ALIKE or (s.gain > mine.gain - _CLOSE and s.log_evidence > least))
+            if s.name != name and (s.log_evidence > alike or (s.gain > mine.gain - _CLOSE and s.log_evidence > least))
         ),
     )
 
@@ -329,12 +345,17 @@ def _stranger(
     return None
 
 
-def _worth(found: Screened) -> float:
+def _worth(found: Screened, directions: int | None = None) -> float:
     """Log evidence with the same price for every direction: an unnamed term has no usual size from which its prior could be had."""
-    return 0.5 * found.gain - _PRICE * found.rank - float(np.log(found.candidate.choices))
+    return 0.5 * found.gain - _PRICE * (found.rank if directions is None else directions) - float(np.log(found.candidate.choices))
 
 
 def _set_worth(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
     """Worth of a set, one effect after the other."""
     found = [model.screener_with(chosen[:k]).screen(candidate) for k, candidate in enumerate(chosen)]
-    return sum(_worth(f) for f in found if f is not None)
+    return sum(_worth(f, _own(f)) for f in found if f is not None)
+
+
+def _own(found: Screened) -> int:
+    """Directions of its parameters: what unlike pick-offs make of it follows from them."""
+    return min(found.rank, sum(not c.name.startswith(SKEW) for c in found.candidate.columns))

@@ -24,21 +24,37 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-#: temperature span of a recording from which on its temperature moved [K]; over how long it is smoothed then [s]
+#: temperature span of a recording from which on its temperature moved [K]; over how long a sensor is smoothed then [s]
 WARMING_K, SMOOTH_S = 0.3, 0.4
+#: over how long a reference is smoothed, which follows the resonance [s]; correlation with the temperature from which on it does
+_CORNER_S, _FOLLOWS = 0.1, 0.99
 
 
 def smooth_temperature(recording: Recording) -> FloatArray:
     """Temperature of every row without the noise of its sensor, which would be in the frequency: a straight line, or where the temperature
-    moved a running mean.
+    moved a running mean. Its corners, which that rounds, are those of a reference that follows the resonance, if there is one.
     """
     raw, n = recording.temperature_degc, len(recording)
     place = np.linspace(-1.0, 1.0, n)
     line = raw.mean() + place * float(place @ raw) / float(place @ place)
-    width = 2 * (min(round(SMOOTH_S * recording.sample_rate_hz), n // 4) // 2) + 1
-    total = np.cumsum(np.concatenate([[0.0], np.pad(raw - line, width // 2, mode="reflect")]))
-    running = line + (total[width:] - total[:-width]) / width
-    return np.asarray(running if np.ptp(running) > WARMING_K else line)
+    running = line + _running_mean(raw - line, SMOOTH_S * recording.sample_rate_hz)
+    if np.ptp(running) <= WARMING_K:
+        return np.asarray(line)
+    reference = recording.ref_omega_rad_s - recording.ref_omega_rad_s.mean()
+    slow = _running_mean(reference, SMOOTH_S * recording.sample_rate_hz)
+    warm = running - running.mean()
+    follows = np.ptp(slow) > 0.0 and abs(np.corrcoef(warm, slow)[0, 1]) > _FOLLOWS
+    if recording.command.mode == "loops_off" or not follows:
+        return np.asarray(running)
+    kelvin = float(warm @ warm) / float(warm @ slow)
+    return np.asarray(running + kelvin * (_running_mean(reference, _CORNER_S * recording.sample_rate_hz) - slow))
+
+
+def _running_mean(x: FloatArray, rows: float) -> FloatArray:
+    """Over about so many rows, centred; mirrored at the ends."""
+    width = 2 * (min(round(rows), len(x) // 4) // 2) + 1
+    total = np.cumsum(np.concatenate([[0.0], np.pad(x, width // 2, mode="reflect")]))
+    return np.asarray((total[width:] - total[:-width]) / width)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from .columns import Column, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .forms import Linear, Part
+from .parts import Linear, Part
 from .system import Solution
 
 __all__ = ["measured_drifts", "slow_drifts", "with_drifts"]
@@ -66,7 +66,7 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
 
 
 def measured_drifts(solution: Solution) -> dict[str, float]:
-    """Size of each family as a share of the largest that was allowed for, the most likely one.
+    """Size of each family as a share of the largest that was allowed for: about the likeliest, with how well that is known.
 
     Parameters
     ----------
@@ -88,9 +88,18 @@ def measured_drifts(solution: Solution) -> dict[str, float]:
     sizes = dict.fromkeys(families, 0.03)
     for _ in range(_ROUNDS):
         for family in sizes:
-            scores = [_likelihood(data, told, families, {**sizes, family: float(s)}) for s in _SIZES]
-            sizes[family] = float(_SIZES[int(np.argmax(scores))])
-    return sizes
+            sizes[family] = float(_SIZES[int(np.argmax(_scores(data, told, families, sizes, family)))])
+    return {family: _expected(_scores(data, told, families, sizes, family)) for family in sizes}
+
+
+def _scores(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float], family: str) -> FloatArray:
+    return np.array([_likelihood(data, told, families, {**sizes, family: float(s)}) for s in _SIZES])
+
+
+def _expected(scores: FloatArray) -> float:
+    """Root of the expected square: a size that may well be larger than the likeliest would pass for an effect of time."""
+    weight = np.exp(scores - scores.max())
+    return float(np.sqrt(weight @ _SIZES**2 / weight.sum()))
 
 
 def with_drifts(columns: Sequence[Column], shares: Mapping[str, float]) -> list[Column]:

@@ -10,8 +10,8 @@ from ..effects import EFFECTS
 from ..quantity import Quantity
 from ..recording.recording import Recording
 from .diagnosis import FoundEffect, Standing, Unknown
-from .forms import Linear
 from .noise_growth import NoiseGrowth, noise_growth
+from .parts import Linear
 from .spectra import pick_spectra
 from .tones import Tone, find_tone
 

@@ -10,8 +10,9 @@ from ..effects import EFFECTS
 from ..quantity import Quantity
 from .candidates import registry_name
 from .diagnosis import Standing
-from .forms import FORMS, SKEW
+from .forms import FORMS
 from .model import CampaignModel
+from .parts import SKEW
 from .screen import Screened
 from .select import LEAST_GAIN, Selection
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..recording.recording import Recording
-from .forms import Linear
+from .parts import Linear
 from .spectra import PickSpectrum, detrended, steep_window
 
 __all__ = ["Tone", "find_tone"]

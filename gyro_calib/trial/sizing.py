@@ -24,9 +24,13 @@ __all__ = ["Sized", "imitators", "size_effect"]
 FloatArray = NDArray[np.float64]
 #: sizes beyond so many times the typical one are no longer the effect that the catalogue means
 _MOST_TYPICAL = 10.0
+#: share of the damping that may come or go by the temperature: a resonator with none does not hold still
+_MOST_DAMPING = 0.5
 #: parameters that a form has as a setting are drawn about their typical value, by this factor at most
 _SETTING_SPREAD = 2.5
 _LEVELS = 24
+#: most that a drive may be dead of its own amplitude
+_MOST_DEAD = 0.4
 
 
 @dataclass(frozen=True)
@@ -90,14 +94,24 @@ def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Gene
     sizes = {p: factor * value for p, value in draw.items()} | {k: v for k, v in setting.items() if k != "axes"} | silent
     if any(not effect.parameter(p).lower <= v <= effect.parameter(p).upper for p, v in sizes.items()):
         return None
-    return Sized(name, sizes, factor * signal)
+    return None if _undamped(model, name, sizes) else Sized(name, sizes, factor * signal)
+
+
+def _undamped(model: CampaignModel, name: str, sizes: Mapping[str, float]) -> bool:
+    if not name.startswith("thermal_damping"):
+        return False
+    warmest_k = max(float(np.abs(r.signals.temperature_k).max()) for r in model.evidence)
+    return max(map(abs, sizes.values())) * warmest_k > _MOST_DAMPING * model.evidence.decay_rate
 
 
 def _levelled(model: CampaignModel, name: str, snr: float) -> Sized | None:
     """A clipping or dead level, from a grid and by bisection between its points: the further it bites, the larger."""
     form = FORMS[name]
     grid = [s["level"] for s in form.settings([r.signals for r in model.evidence])]
-    levels = np.geomspace(min(grid), max(grid), _LEVELS)
+    # a drive that is dead up to its own amplitude moves nothing
+    typical = float(np.median([np.abs(r.signals.drive).max() for r in model.evidence]))
+    largest = _MOST_DEAD * typical if name == "drive_dead_zone" else max(grid)
+    levels = np.geomspace(min(grid), largest, _LEVELS)
     excess = np.array([_level_excess(float(np.log(level)), model, name, snr) for level in levels])
     crossed = np.flatnonzero(excess[:-1] * excess[1:] < 0.0)
     if not crossed.size:

@@ -1,0 +1,122 @@
+"""What an envelope form is: parts of a signal that enter the flow, the drive or the pick-off of a linear device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .signals import Signals
+
+__all__ = ["SKEW", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+#: a part that is no parameter of its effect: what the unit's own pick-offs make of it
+SKEW = "skew"
+#: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
+Kind = Literal["flow", "drive", "output"]
+#: values of the parameters that are not linear
+Setting = Mapping[str, float]
+#: share of the motion by which it is moved to see what follows of it
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Linear:
+    """What the forms need to know of the linear device.
+
+    Parameters
+    ----------
+    A, G, E : ndarray, shape (2, 2), complex
+    angular_gain : float
+        kappa as the factory states it.
+    frequency_slope_rad_s_k : float
+        Change of the resonance with temperature.
+    moved_rad_s : tuple of ndarray, complex
+        By recording and row what the temperature and the resonance's wander add to the diagonal of A: damping, and i times how far the
+        resonance lay from the frequency of reference; empty: as the slope says.
+    """
+
+    A: ComplexArray
+    G: ComplexArray
+    E: ComplexArray
+    angular_gain: float
+    frequency_slope_rad_s_k: float
+    moved_rad_s: tuple[ComplexArray, ...] = ()
+
+    def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
+        """A x, with A at each row's resonance, damping and applied rate, shape (n, 2)."""
+        turning = self.angular_gain * s.rate_rad_s[:, None] * np.stack([-x[:, 1], x[:, 0]], axis=1)
+        return np.asarray(x @ self.A.T + self.moved(s)[:, None] * x - turning)
+
+    def resting(self, s: Signals, x: ComplexArray) -> ComplexArray:
+        """The same in the frame of the resonance, wherever that is."""
+        return np.asarray(self.acting(s, x) - 1j * self.moved(s).imag[:, None] * x)
+
+    def moved(self, s: Signals) -> ComplexArray:
+        """What is added to the diagonal of A [rad/s], shape (n,)."""
+        return self.moved_rad_s[s.index] if self.moved_rad_s else np.asarray(1j * self.frequency_slope_rad_s_k * s.temperature_k)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Signal that one unit of a parameter adds, and where.
+
+    Parameters
+    ----------
+    parameter : str
+    kind : str
+    signal : ndarray, shape (n, 2), complex
+    speed : ndarray, shape (n, 2), complex, optional
+        Of a pick-off's volts that follow the motion at once: how fast they change in the frame of the resonance.
+    """
+
+    parameter: str
+    kind: Kind
+    signal: ComplexArray
+    speed: ComplexArray | None = None
+
+
+@dataclass(frozen=True)
+class Form:
+    """Envelope form of an effect.
+
+    Parameters
+    ----------
+    parts : callable
+        (signals, linear device, setting) -> parts.
+    settings : callable
+        (all signals) -> settings to try (one empty setting where the effect is linear in all its parameters).
+    per_axis : str or None
+        Name in the registry of the variant whose setting has ``axes`` = 1.
+    """
+
+    parts: Callable[[Signals, Linear, Setting], list[Part]]
+    settings: Callable[[list[Signals]], list[Setting]] = lambda signals: [{}]
+    per_axis: str | None = None
+
+
+def read_at_once(parameter: str, s: Signals, d: Linear, f: Callable[[ComplexArray], ComplexArray]) -> Part:
+    """Volts f(V) of a pick-off that follow the motion at once, row by row, and how fast they change.
+
+    ``L[o] - A o`` holds the resonance's distance from the reference twice, and it cancels where f turns with the phase of V. So the flow
+    says how fast o changes, and nobody needs to know where the resonance was: to 1e-4 rad/s no thermometer knows that.
+    """
+    v = s.pick
+    flow = d.resting(s, v - s.drive @ d.E.T) + s.drive @ d.G.T + np.gradient(s.drive, s.row_s, axis=0) @ d.E.T
+    # how f itself changes with time: all of the change less what the recorded motion makes of it
+    itself = np.gradient(f(v), s.row_s, axis=0) - _along(f, v, np.gradient(v, s.row_s, axis=0))
+    return Part(parameter, "output", f(v), itself + _along(f, v, flow))
+
+
+def _along(f: Callable[[ComplexArray], ComplexArray], v: ComplexArray, speed: ComplexArray) -> ComplexArray:
+    """Derivative of f at v along a speed."""
+    fastest = float(np.linalg.norm(speed))
+    if fastest == 0.0:
+        return np.zeros_like(v)
+    step = _STEP * float(np.linalg.norm(v)) / fastest
+    return np.asarray((f(v + step * speed) - f(v - step * speed)) / (2.0 * step))

@@ -1,0 +1,53 @@
+"""What a pick-off that errs adds: by the flow as by its derivative, and wherever the resonance is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from gyro_calib.gap.forms import cube
+from gyro_calib.gap.parts import Linear, read_at_once
+from gyro_calib.gap.signals import Signals, with_pick
+from gyro_calib.recording.columns import COLUMNS
+from gyro_calib.recording.command import Command, Setpoints
+from gyro_calib.recording.recording import Recording
+
+ROW_S = 0.002
+A = np.array([[-1.5 - 0.2j, 0.03 + 0.05j], [-0.02 + 0.04j, -1.4 + 0.3j]])
+G = np.array([[-8.0j, 0.2 + 0.1j], [0.1j, -7.5j]])
+
+
+def moving(detuning_rad_s: float) -> tuple[Signals, Linear]:
+    """Two seconds of a driven motion that solves its flow, seen from a reference that is off the resonance."""
+    t = ROW_S * np.arange(1000)
+    rows = np.zeros((t.size, len(COLUMNS)))
+    rows[:, 0], rows[:, 1], rows[:, 10], rows[:, 11] = t, 1.0, 15000.0, 25.0
+    recording = Recording("ring", rows, Command("ftr_x", setpoints=Setpoints(amplitude_v=1.0)), 1.0 / ROW_S, "r")
+    signals = Signals(recording, 2 * np.pi * 15000.0, 1.5, 1, 25.0, 0.0)
+
+    def drive(time: float | np.ndarray) -> np.ndarray:
+        return np.stack([0.2j * (1.0 + 0.3 * np.cos(3.0 * time)), 0.05 * np.sin(2.0 * time) + 0.0j * time], axis=-1)
+
+    turned = A + 1j * detuning_rad_s * np.eye(2)
+    solved = solve_ivp(
+        lambda time, p: turned @ p + G @ drive(time), (0.0, t[-1]), np.array([1.0 + 0j, 0.1j]), t_eval=t, rtol=1e-10, atol=1e-12
+    )
+    signals = with_pick(signals, solved.y.T)
+    signals.__dict__["drive"] = drive(t)
+    return signals, Linear(A, G, np.zeros((2, 2), complex), 0.8, 0.0)
+
+
+@pytest.mark.parametrize("detuning_rad_s", [0.0, 20.0])
+@pytest.mark.parametrize("f", [cube, lambda v: 1j * v * np.array([1.0, 0.0]), lambda v: cube(v)[:, ::-1]])
+def test_the_flow_says_how_fast_a_reading_changes(f: Callable[[np.ndarray], np.ndarray], detuning_rad_s: float) -> None:
+    signals, linear = moving(detuning_rad_s)
+    scale = 1.0 + 0.5 * np.sin(1.3 * signals.time_s)
+    part = read_at_once("c", signals, linear, lambda v: scale[:, None] * f(v))
+    assert part.speed is not None
+    found = part.speed - linear.resting(signals, part.signal)
+    # o' - A o with the detuning that a form by derivatives has to know
+    expected = np.gradient(part.signal, ROW_S, axis=0, edge_order=2) - part.signal @ (A + 1j * detuning_rad_s * np.eye(2)).T
+    np.testing.assert_allclose(found[3:-3], expected[3:-3], atol=1e-3 * max(1.0, detuning_rad_s))

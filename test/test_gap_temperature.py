@@ -1,0 +1,56 @@
+"""What a temperature that only wanders can say: nothing; and what the corners of a ramp are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, run_plan
+from gyro_calib.experiments.gap_plans import gap_ftr_plan
+from gyro_calib.gap.model import look_at
+from gyro_calib.gap.signals import smooth_temperature
+from gyro_calib.recording.columns import COLUMNS, column_index
+from gyro_calib.recording.command import Command, Setpoints
+from gyro_calib.recording.recording import Recording
+from gyro_calib.simulation import GyroSimulator
+
+ROW_S = 0.01
+
+
+def ramp(*, follows: bool) -> tuple[Recording, np.ndarray]:
+    """A temperature that rises by 4 K in 8 s and then holds, read with a millikelvin of noise."""
+    t = ROW_S * np.arange(1200)
+    true = np.minimum(0.5 * t, 4.0)
+    rng = np.random.default_rng(0)
+    rows = np.zeros((t.size, len(COLUMNS)))
+    rows[:, 0], rows[:, 1], rows[:, 2] = t, 1.0, 1.0
+    rows[:, column_index("ref_freq")] = 15000.0 - (0.4 * true if follows else 0.0)
+    rows[:, column_index("temperature")] = 25.0 + true + 1e-3 * rng.standard_normal(t.size)
+    return Recording("ring", rows, Command("ftr_x", setpoints=Setpoints(amplitude_v=1.0)), 1.0 / ROW_S, "r"), 25.0 + true
+
+
+def test_a_reference_that_follows_the_resonance_gives_a_ramp_its_corner() -> None:
+    recording, true = ramp(follows=True)
+    fixed, _ = ramp(follows=False)
+    corner = slice(760, 840)
+    rounded, sharp = (np.abs(smooth_temperature(r) - true)[corner].max() for r in (fixed, recording))
+    # a running mean over t rounds a corner of slope s by s t / 8
+    assert rounded > 0.018
+    assert sharp < 0.009
+    assert np.abs(smooth_temperature(recording) - true)[100:700].max() < 2e-3
+
+
+def test_without_a_temperature_run_its_effects_are_not_tried() -> None:
+    device = draw_unit(load_device("ring_15k"), 5)
+    device = replace(device, environment=replace(device.environment, wander_k=0.02))
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="slow_flow"), 2e-5)
+    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
+    f = campaign.factory
+    model = look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+    assert not [name for name in model.candidates if name.startswith("thermal_")]
+    assert not [term.name for term, _ in model.bank if term.depends_on == "temperature"]
+    # what a healthy device does with the kelvins that it has is allowed for all the same
+    assert "thermal_damping.c" in {c.name for c in model.nuisances}
