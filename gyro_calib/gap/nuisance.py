@@ -43,8 +43,9 @@ _GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e
 _DAMPING_PER_K2, _FREQUENCY_PER_K2 = 3e-5, 1e-7
 #: a record that is late by some samples of the converters [s]; a rate table's clock [s]
 _LAG_S, _TABLE_CLOCK_S = 3e-5, 1e-3
-#: change of E over a relative distance of one from resonance; reaction of the diagonal of A to rate over kappa
-_DISPERSION, _SKEWED_RATE = 5e-3, 0.05
+#: change of E over a relative distance of one from resonance, and its curvature, which multiplexed electronics have (a resonance rings on
+#: in the slots that do not drive it); reaction of the diagonal of A to rate over kappa
+_DISPERSION, _BENT_DISPERSION, _SKEWED_RATE = 5e-3, 1e-2, 0.05
 #: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
 _KAPPA = 3e-4
 #: drift of the resonance over a campaign in units of its wander; constant volts that reach a drive besides the command [V]
@@ -115,12 +116,9 @@ def linear_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> li
             known = np.inf if open_drive else _FEEDTHROUGH
             columns += _collected(f"E_{place}", evidence, _entry("drive_rate", a, b), known)
             if len(open_drive) > 1:
-                columns += _collected(
-                    f"dispersion_{place}",
-                    evidence,
-                    _entry("drive_rate", a, b, lambda r: _away(r, evidence.omega0_rad_s)),
-                    _DISPERSION,
-                )
+                for name, power, size in (("dispersion", 1, _DISPERSION), ("bent_dispersion", 2, _BENT_DISPERSION)):
+                    by_distance = _entry("drive_rate", a, b, lambda r, power=power: _away(r, evidence.omega0_rad_s) ** power)  # type: ignore[misc]
+                    columns += _collected(f"{name}_{place}", evidence, by_distance, size)
             if turned:
                 columns += _collected(f"table_{place}", evidence, _entry("jerk", a, b), _TABLE_CLOCK_S)
         for f in bodies:
