@@ -2,7 +2,7 @@
 
 First order of averaging, written for pick-off volts V, motion p = V - E u and drive volts u (shape (n, 2), x and y); the registry
 (:mod:`..effects`) names the same effects and parameters, and the simulator applies them to the carrier, which checks these forms. A form is
-linear in its parameters. What is not (a level, a time constant, a frequency) is laid out on a grid (:data:`GRIDS`).
+linear in its parameters. What is not (a level, a time constant, a frequency) is laid out on a grid, the settings of a form.
 """
 
 from __future__ import annotations
@@ -248,8 +248,8 @@ def _late(s: Signals) -> FloatArray:
     return s.time_s
 
 
-def _scaled(kind: Kind, letter: str, of: Literal["pick", "drive"], x: Callable[[Signals], FloatArray], factor: complex) -> Form:
-    return Form(lambda s, d, g: _by_axis(kind, letter, factor * x(s)[:, None] * getattr(s, of)))
+def _scaled_drive(kind: Kind, letter: str, x: Callable[[Signals], FloatArray], factor: complex) -> Form:
+    return Form(lambda s, d, g: _by_axis(kind, letter, factor * x(s)[:, None] * s.drive))
 
 
 def _driven_cube(letter: str, factor: complex) -> Form:
@@ -304,17 +304,17 @@ FORMS: dict[str, Form] = {
     "thermal_frequency_curvature": _stiffness("k", lambda s: s.temperature_k**2),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 11)),
-    "thermal_drive_gain": _scaled("drive", "g", "drive", _warm, 1.0),
-    "thermal_drive_phase": _scaled("drive", "g", "drive", _warm, 1j),
+    "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
+    "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
-    "thermal_feedthrough": _scaled("output", "e", "drive", _warm, 1.0),
+    "thermal_feedthrough": _scaled_drive("output", "e", _warm, 1.0),
     "frequency_ageing": _stiffness("k", _late),
     "damping_drift": _damping("c", _late),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * _motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
-    "drive_gain_drift": _scaled("drive", "g", "drive", _late, 1.0),
-    "drive_phase_drift": _scaled("drive", "g", "drive", _late, 1j),
+    "drive_gain_drift": _scaled_drive("drive", "g", _late, 1.0),
+    "drive_phase_drift": _scaled_drive("drive", "g", _late, 1j),
     "pickoff_gain_drift": _read_by_axis("g", lambda s, v: _late(s)[:, None] * v),
     "centrifugal_stiffness": _stiffness("k", lambda s: s.rate_rad_s**2),
     "rate_dependent_damping": _damping("c", _rate),

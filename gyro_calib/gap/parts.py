@@ -54,7 +54,7 @@ class Linear:
         return np.asarray(x @ self.A.T + self.moved(s)[:, None] * x - turning)
 
     def resting(self, s: Signals, x: ComplexArray) -> ComplexArray:
-        """The same in the frame of the resonance, wherever that is."""
+        """The same in the frame of the resonance, wherever that is, shape (n, 2)."""
         return np.asarray(self.acting(s, x) - 1j * self.moved(s).imag[:, None] * x)
 
     def moved(self, s: Signals) -> ComplexArray:
@@ -101,7 +101,7 @@ class Form:
 
 
 def read_at_once(parameter: str, s: Signals, d: Linear, f: Callable[[ComplexArray], ComplexArray]) -> Part:
-    """Volts f(V) of a pick-off that follow the motion at once, row by row, and how fast they change.
+    """Volts f(V) of a pick-off that follow the motion at once, row by row (both (n, 2) [V]), and how fast they change [V/s].
 
     ``L[o] - A o`` holds the resonance's distance from the reference twice, and it cancels where f turns with the phase of V. So the flow
     says how fast o changes, and nobody needs to know where the resonance was: to 1e-4 rad/s no thermometer knows that.
