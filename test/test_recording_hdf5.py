@@ -100,6 +100,14 @@ def test_recordings_come_in_the_order_of_their_numbers(tmp_path):
     assert [r.label for r in read_campaign_h5(tmp_path / "c.h5")] == ["run1", "run2", "run10"]
 
 
+def test_with_loops_off_no_amplitude_is_held(tmp_path):
+    open_drive = {"mode": "loops_off", "open_drive": '{"freq": 15020.0, "axis": "x", "volts": 2.0}', "amplitude_set_V": 0.0}
+    recording = read_campaign_h5(write_plainly(tmp_path / "off.h5", attributes=open_drive)).recordings[0]
+    assert recording.command.excitation.volts == 2.0
+    with pytest.raises(DataError, match=r"amplitude_v must be > 0, but got 0\.0"):
+        read_campaign_h5(write_plainly(tmp_path / "on.h5", attributes={"mode": "ftr_x", "amplitude_set_V": 0.0}))
+
+
 def test_other_spellings_and_types_are_understood(tmp_path):
     spellings = {"t": "Time", "x_pick_c": "X_Pick_C", "y_pick_s": "yPickS", "x_drive_c": "x drive c", "y_pick_c": "y_pickoff_c"}
     spellings |= {"ref_freq": "Reference frequency (Hz)", "temperature": "TEMP_C"}

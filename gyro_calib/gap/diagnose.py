@@ -17,9 +17,9 @@ from .candidates import registry_name
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .gap_map import gap_map
 from .heldout import Shrinkage, shrinkage
+from .linear_device import linear_of
 from .model import CampaignModel, look_at
 from .next_experiment import next_experiment
-from .nuisance import linear_of
 from .preflight import check_campaign, usable
 from .screen import Screened
 from .select import Selection, select_effects

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from .columns import Column
 from .forms import FORMS
+from .linear_device import linear_of
 from .model import CampaignModel
-from .nuisance import linear_of
 from .parts import Linear
 from .system import solve
 

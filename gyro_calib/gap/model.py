@@ -14,19 +14,9 @@ from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .columns import Column
 from .evidence import CampaignEvidence
+from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, linear_columns, linear_of, span_k, target_of
 from .noise import first_noise, measured_noise
-from .nuisance import (
-    TEMPERATURE_SPAN_K,
-    frequency_columns,
-    linear_columns,
-    linear_of,
-    slow_columns,
-    span_k,
-    target_of,
-    thermal_columns,
-    wander_columns,
-    with_wander,
-)
+from .nuisance import slow_columns, thermal_columns, wander_columns, with_wander
 from .parts import Linear, Setting
 from .preflight import check_linear
 from .screen import Candidate, Screener
@@ -46,6 +36,8 @@ _SATURATION = 0.5
 #: what an unnamed term that depends on something needs
 _NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
 
+#: of a drive and of a pick-off: opposite to each other they are one filter of both
+_TWIN = {"pickoff_memory": "drive_memory", "pickoff_lag": "drive_lag"}
 #: effects with a memory, or that feed through
 _FAST = (
     "drive_lag",
@@ -193,8 +185,8 @@ def _wander(evidence: CampaignEvidence, rich: Solution, before: float) -> dict[s
 
 def _nuisances(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float) -> list[Column]:
     return [
-        *linear_columns(evidence),
-        *frequency_columns(evidence, linear.E),
+        *linear_columns(evidence, linear),
+        *frequency_columns(evidence),
         *thermal_columns(evidence, linear),
         *wander_columns(evidence, wander_rad_s),
     ]
@@ -236,10 +228,13 @@ def _saturated(
 ) -> list[Column]:
     """Every effect at once, each of a size that it may have, and unnamed terms of rate.
 
-    Where no open drive of both axes told the feedthrough, without the lag of a record and what has a memory: in a closed loop the drive's
-    noise follows from the pick-off's, and a lag that is free would explain the noise away. A feedthrough keeps to its prior.
+    Drive and pick-off that pass through one filter obey the linear flow as before: a memory of the one against the same of the other holds
+    no signal, but all of the noise, so of such twins one is enough. Where no open drive of both axes told the feedthrough, without the lag
+    of a record and what has a memory: in a closed loop the drive's noise follows from the pick-off's, and a lag that is free would explain
+    the noise away. A feedthrough keeps to its prior.
     """
-    chosen = [c for tried in candidates.values() for c in tried[:: max(1, len(tried) // _SATURATED_SETTINGS)]]
+    told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
+    chosen = [c for tried in told.values() for c in tried[:: max(1, len(tried) // _SATURATED_SETTINGS)]]
     if not _open_drive(evidence):
         nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
         chosen = [c for c in chosen if c.name not in _FAST]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from .columns import Column
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
-from .noise_law import NoiseLaw, fit_law
-from .nuisance import quiet_target_of, target_of
+from .linear_device import quiet_target_of, target_of
+from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
 from .system import NoiseByRole, Solution, Whitener, solve
 
 __all__ = ["first_noise", "measured_noise"]
@@ -30,10 +30,14 @@ Key = tuple[str, str]
 #: by how much the noise of a recording's channel is larger than that of its kind
 Excess = dict[tuple[int, str], float]
 _ROUNDS = 5
+#: rounds in which no kind of recording may be louder than so many times the median kind, in power
+_TAMED_ROUNDS, _TAMED = 4, 10.0
 #: a recording is unlike its kind beyond so many standard deviations of its chi-square; it must have this much freedom
 _UNLIKE, _FEWEST_FREE = 3.0, 3.0
 #: a row of which less than this is left says nothing of the noise
 _LEAST_FREEDOM = 0.3
+#: modes whose wave rises or decays: no line of theirs is quiet
+_FALLING = ("ring_down", "ring_up")
 #: differences between repeated records that say how much their means differ by
 _FEWEST_REPEATS = 4
 
@@ -57,8 +61,10 @@ def measured_noise(
     noise: NoiseByRole = first_noise(evidence)
     target, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
     solution = _solved(evidence, saturated, noise, target)
-    for _ in range(_ROUNDS):
+    for k in range(_TAMED_ROUNDS + _ROUNDS):
         noise = _from_residuals(evidence, solution, noise, quiet)
+        if k < _TAMED_ROUNDS:
+            noise = _tamed(noise, {r.role for r in evidence if r.is_wave})
         solution = _solved(evidence, saturated, noise, target)
     noise = _with_repeats(evidence, solution, noise, target)
     noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
@@ -113,6 +119,9 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
         kept = freedom[rows] > _LEAST_FREEDOM
         basis[key].append(lines.basis()[kept])
         squares[key].append((solution.residual[rows] ** 2 * noise[key].density(lines) / freedom[rows])[kept])
+        if r.recording.command.mode in _FALLING:
+            # what rises or decays has something at every line
+            continue
         count = left[k].size // 2
         values = left[k][side * count : (side + 1) * count]
         basis[key].append(r.lines(channel, quiet=True).basis())
@@ -124,6 +133,21 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
         parent = found.get((parents.get(role, role), channel))
         out[role, channel] = law if parent is None or parent is law else law.not_below(parent)
     return out
+
+
+def _tamed(noise: NoiseByRole, waves: set[str]) -> NoiseByRole:
+    """Noise with white and pick-off terms near those of the other kinds of recording: one device, one pair of pick-offs.
+
+    A kind that is believed to be loud has no say in the fit, columns that cancel one another everywhere else then miss it by
+    anything, and it is loud. Only a fit that had to respect it can tell whether it is.
+    """
+    heard = [key for key in noise if key[0] in waves and key[1] != "frequency"]
+    tamed = dict(noise)
+    for term in (WHITE, PICKOFF):
+        sizes = [c for key in heard if (c := noise[key].coefficients[term]) > 0.0]
+        for key in heard if sizes else ():
+            tamed[key] = tamed[key].at_most(term, _TAMED * float(np.median(sizes)))
+    return tamed
 
 
 def _with_repeats(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, target: Sequence[ComplexArray]) -> NoiseByRole:

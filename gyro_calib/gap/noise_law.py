@@ -7,19 +7,21 @@ the amplitude; what the pick-off adds is not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-__all__ = ["Lines", "NoiseLaw", "fit_law"]
+__all__ = ["PICKOFF", "WHITE", "Lines", "NoiseLaw", "fit_law"]
 
 FloatArray = NDArray[np.float64]
 #: what a further term must gain beyond the information criterion, twice the log likelihood: strong evidence
 _EXTRA_TERM = 6.0
 #: neighbours whose median tells what is an outlier; cap over their mean; median of chi-square with one degree of freedom
 _NEIGHBOURS, _CAP, _MEDIAN = 41, 9.0, 0.455
+#: places of two terms among the coefficients
+WHITE, PICKOFF = 0, 2
 _TERMS = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3))
 
 
@@ -64,6 +66,11 @@ class NoiseLaw:
         """The law of a noise that is so much larger in power."""
         white, flicker, pickoff, walk = (factor * c for c in self.coefficients)
         return NoiseLaw((white, flicker, pickoff, walk), factor * self.mean)
+
+    def at_most(self, term: int, limit: float) -> NoiseLaw:
+        """The law with one of its terms no larger than that."""
+        white, flicker, pickoff, walk = (min(c, limit) if k == term else c for k, c in enumerate(self.coefficients))
+        return replace(self, coefficients=(white, flicker, pickoff, walk))
 
     def not_below(self, other: NoiseLaw) -> NoiseLaw:
         """Term by term the larger one."""

@@ -39,6 +39,8 @@ class Linear:
     moved_rad_s : tuple of ndarray, complex
         By recording and row what the temperature and the resonance's wander add to the diagonal of A: damping, and i times how far the
         resonance lay from the frequency of reference; empty: as the slope says.
+    followed_rad_s : tuple of ndarray
+        The part of that distance which the fit takes from the pick-off's volts: the column of E takes off what feeds through of them.
     """
 
     A: ComplexArray
@@ -47,6 +49,7 @@ class Linear:
     angular_gain: float
     frequency_slope_rad_s_k: float
     moved_rad_s: tuple[ComplexArray, ...] = ()
+    followed_rad_s: tuple[FloatArray, ...] = ()
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """A x, with A at each row's resonance, damping and applied rate, shape (n, 2)."""

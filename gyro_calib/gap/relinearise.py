@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from .candidates import candidate_at
 from .evidence import CampaignEvidence
 from .forms import FORMS
+from .linear_device import linear_of
 from .model import CampaignModel
-from .nuisance import linear_of
 from .parts import Linear, Setting
 from .screen import Candidate, Screened
 from .signals import Signals, with_pick

@@ -76,10 +76,13 @@ def command_from_attributes(attributes: Mapping[str, Any], measured_amplitude_v:
     if isinstance(own, Mapping):
         return Command.from_parameters(own)
     amplitude = _first(attributes, ("amplitude_set_V", "amplitude_set_v", "amplitude_v", "amplitude_V"))
-    if amplitude is None:
-        amplitude = measured_amplitude_v if measured_amplitude_v else 1.0
     stiffness, ring = attributes.get("stiffness_control"), attributes.get("amplitude_control")
     mode = "stiffness" if stiffness else "ring_down" if ring else _mode(attributes)
+    if mode == "loops_off" and amplitude is not None and _number(amplitude, "amplitude_set_V") == 0.0:
+        # no loop holds an amplitude then
+        amplitude = None
+    if amplitude is None:
+        amplitude = measured_amplitude_v if measured_amplitude_v else 1.0
     setpoints = Setpoints(
         amplitude_v=_number(amplitude, "amplitude_set_V"),
         virtual_precession_v=_number(_first(attributes, ("virtual_precession_V", "virtual_precession_v")) or 0.0, "virtual_precession_V"),

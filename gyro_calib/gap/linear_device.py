@@ -1,0 +1,247 @@
+"""The linear slow flow as columns of a campaign's equations: A, G, E, response to rate, how the resonance follows its temperature.
+
+What physics bounds (a feedthrough that follows frequency, a unit's kappa beside its factory's) has a prior of that size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimation.wave_projection import WaveProjected
+from .columns import QUIET, SIGNAL, Column
+from .evidence import CampaignEvidence, RecordingEvidence
+from .parts import Linear
+
+__all__ = [
+    "ROW_MOMENT",
+    "TEMPERATURE_SPAN_K",
+    "collected",
+    "frequency_columns",
+    "linear_columns",
+    "linear_of",
+    "quiet_target_of",
+    "span_k",
+    "target_of",
+]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
+
+#: curvature of the frequency [1/K^2]; a rate table's clock [s]
+_FREQUENCY_PER_K2, _TABLE_CLOCK_S = 1e-7, 1e-3
+#: change of E over a relative distance of one from resonance, and its curvature, which multiplexed electronics have (a resonance rings on
+#: in the slots that do not drive it); reaction of the diagonal of A to rate over kappa
+_DISPERSION, _BENT_DISPERSION, _SKEWED_RATE = 5e-3, 1e-2, 0.05
+#: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
+_KAPPA = 3e-4
+#: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
+_FEEDTHROUGH, ROW_MOMENT = 2e-3, 1.0
+_TURNED_RAD = np.pi
+#: temperature's span over a campaign from which on what depends on it can be measured, and from which on its frequency can
+TEMPERATURE_SPAN_K, _FOLLOWED_K = 0.5, 0.05
+
+
+def collected(
+    name: str,
+    evidence: CampaignEvidence,
+    f: Callable[[RecordingEvidence, WaveProjected], ComplexArray],
+    prior_sd: float = np.inf,
+    *,
+    real: bool = False,
+) -> list[Column]:
+    """A complex unknown as two real ones (or its real part alone); nothing when no recording holds it."""
+    signal = [r.turn * f(r, r.signal) for r in evidence]
+    quiet = [r.turn * f(r, r.quiet) for r in evidence]
+    if not any(np.any(v) for v in signal):
+        return []
+    columns = [Column(name if real else f"{name}_re", tuple(signal), tuple(quiet), prior_sd)]
+    if not real:
+        columns.append(Column(f"{name}_im", tuple(1j * v for v in signal), tuple(1j * v for v in quiet), prior_sd))
+    return columns
+
+
+def _entry(field: str, a: int, b: int | None, weight: Callable[[RecordingEvidence], float] = lambda r: 1.0) -> _Regressor:
+    """Regressor of one entry of the projected signals, weighed by recording."""
+
+    def values(r: RecordingEvidence, p: WaveProjected) -> ComplexArray:
+        array = getattr(p, field)
+        return np.asarray(weight(r) * (array[:, a] if b is None else array[:, a, b]))
+
+    return values
+
+
+def _shaken_at(frequency_hz: float) -> Callable[[RecordingEvidence], float]:
+    return lambda r: float(_body(r) == frequency_hz)
+
+
+def _combined(first: tuple[int, int], second: tuple[int, int], sign: float) -> _Regressor:
+    """Sum or difference of two entries of the response to rate."""
+    return lambda r, p: p.rate_pick[:, first[0], first[1]] + sign * p.rate_pick[:, second[0], second[1]]
+
+
+def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None, *, rate_known: bool = True) -> list[Column]:
+    """A, G~, E, body, response to rate, force that does not follow the wave.
+
+    ``linear``: the device as far as it is known, for where its resonance lay: what feeds through does not follow it. With ``rate_known``
+    the target already lacks the response to rate of the factory's kappa (:func:`target_of`), and what is sought is how far the unit is
+    from it; otherwise all of it.
+    """
+    columns: list[Column] = []
+    bodies = sorted({_body(r) for r in evidence if _body(r) > 0.0})
+    turned = any("applied_rate" in r.recording.extras for r in evidence)
+    open_drive = {round(_open(r), 3) for r in evidence if _open(r) > 0.0}
+    for a in range(2):
+        for b in range(2):
+            place = f"{'xy'[a]}{'xy'[b]}"
+            columns += collected(f"A_{place}", evidence, _entry("pick", a, b))
+            columns += collected(f"G_{place}", evidence, _entry("drive", a, b))
+            # without open drive a feedthrough of usual size is allowed for, not taken to be absent
+            known = np.inf if open_drive else _FEEDTHROUGH
+            columns += _feedthrough(place, evidence, linear, (a, b), known)
+            if len(open_drive) > 1:
+                for name, power, size in (("dispersion", 1, _DISPERSION), ("bent_dispersion", 2, _BENT_DISPERSION)):
+                    by_distance = _entry("drive_rate", a, b, lambda r, power=power: _away(r, evidence.omega0_rad_s) ** power)  # type: ignore[misc]
+                    columns += collected(f"{name}_{place}", evidence, by_distance, size)
+            if turned:
+                columns += collected(f"table_{place}", evidence, _entry("jerk", a, b), _TABLE_CLOCK_S)
+        for f in bodies:
+            columns += collected(f"body_{'xy'[a]}_{f:.0f}", evidence, _entry("body", a, None, _shaken_at(f)))
+        if any(r.signal.turn_rad > _TURNED_RAD for r in evidence):
+            columns += collected(f"force_{'xy'[a]}", evidence, _entry("constant", a, None, lambda r: float(r.is_wave)))
+    return columns + (_rate_columns(evidence, rate_known) if turned else [])
+
+
+def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
+    """Response of A to rate: its antisymmetric part is kappa, the rest is the pick-offs' mismatch and non-orthogonality."""
+    columns = collected("rate_anti", evidence, _combined((0, 1), (1, 0), -1.0), _KAPPA if known else np.inf)
+    for name, f in (
+        ("rate_mismatch", _combined((0, 1), (1, 0), 1.0)),
+        ("rate_sum", _combined((0, 0), (1, 1), 1.0)),
+        ("rate_skew", _combined((0, 0), (1, 1), -1.0)),
+    ):
+        columns += collected(name, evidence, f, _SKEWED_RATE)
+    # what feeds through does not turn: -kappa Omega J (V - E u)
+    for a in range(2):
+        for b in range(2):
+            columns += collected(f"rate_feed_{'xy'[a]}{'xy'[b]}", evidence, _entry("rate_drive", a, b), _FEEDTHROUGH)
+    return columns + _blurred_steps(evidence)
+
+
+def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
+    """A step of the table as the recorder's filter blurs it: to second order its curvature times half the filter's second moment."""
+    sides = []
+    for place in (SIGNAL, QUIET):
+        vectors = []
+        for r in evidence:
+            s = r.signals
+            curvature = np.gradient(np.gradient(s.rate_rad_s, s.row_s), s.row_s)[:, None]
+            vectors.append(
+                r.turn * place.projector(r).plain((curvature * np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1))[:, None, :])[:, 0]
+            )
+        sides.append(tuple(vectors))
+    row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
+    return [Column("table_blur", sides[0], sides[1], ROW_MOMENT * row_s**2)]
+
+
+def target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
+    """Left-hand sides by recording, turned by the wave's phase, less the response to the applied rate, ``-kappa Omega J V``."""
+    return [r.turn * (r.signal.lhs - angular_gain * (r.signal.rate_pick[:, 0, 1] - r.signal.rate_pick[:, 1, 0])) for r in evidence]
+
+
+def quiet_target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
+    """The same at the quiet lines."""
+    return [r.turn * (r.quiet.lhs - angular_gain * (r.quiet.rate_pick[:, 0, 1] - r.quiet.rate_pick[:, 1, 0])) for r in evidence]
+
+
+def _feedthrough(place: str, evidence: CampaignEvidence, linear: Linear | None, entry: tuple[int, int], prior_sd: float) -> list[Column]:
+    """``L[u]``, less what the resonance moved: it moves the motion ``V - E u``, not what feeds through.
+
+    Ten kelvins of silica and E = 2e-4 are 1e-2 rad/s of the drive. In the column of E itself that holds for whatever E comes out, also
+    once an effect that passed for a feedthrough is named.
+    """
+    a, b = entry
+    sides = []
+    for where in (SIGNAL, QUIET):
+        vectors = []
+        for r in evidence:
+            vector = (r.quiet if where.quiet else r.signal).drive_rate[:, a, b]
+            if linear is not None and linear.followed_rad_s:
+                still = np.zeros((len(r.signals.time_s), 1, 2), complex)
+                still[:, 0, a] = 1j * linear.followed_rad_s[r.index] * r.signals.drive[:, b]
+                vector = vector - where.projector(r).plain(still)[:, 0]
+            vectors.append(r.turn * vector)
+        sides.append(vectors)
+    if not any(np.any(v) for v in sides[0]):
+        return []
+    return [
+        Column(f"E_{place}_{name}", tuple(f * v for v in sides[0]), tuple(f * v for v in sides[1]), prior_sd)
+        for name, f in (("re", 1.0 + 0j), ("im", 1j))
+    ]
+
+
+def frequency_columns(evidence: CampaignEvidence) -> list[Column]:
+    """How the resonance follows its temperature: ``i T V``, what feeds through left to the column of E."""
+    columns = collected("frequency_per_k", evidence, lambda r, p: 1j * p.terms["warm"][:, 0], real=True)
+    if span_k(evidence) >= TEMPERATURE_SPAN_K:
+        curvature = _FREQUENCY_PER_K2 * evidence.omega0_rad_s
+        columns += collected("frequency_per_k2", evidence, lambda r, p: 1j * p.terms["warm2"][:, 0], curvature, real=True)
+    return columns
+
+
+def span_k(evidence: CampaignEvidence) -> float:
+    """Span of the temperature over a campaign [K]."""
+    return float(np.ptp(np.concatenate([r.signals.temperature_k for r in evidence])))
+
+
+def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_gain: float) -> Linear:
+    """The linear device that a solution says."""
+
+    def matrix(letter: str) -> ComplexArray:
+        entries = [values.get(f"{letter}_{p}_re", 0.0) + 1j * values.get(f"{letter}_{p}_im", 0.0) for p in ("xx", "xy", "yx", "yy")]
+        return np.array(entries).reshape(2, 2)
+
+    A, reduced, E = matrix("A"), matrix("G"), matrix("E")
+    moved = tuple(_moved(r, values) for r in evidence)
+    # of a temperature that stood still there is no coefficient, but any number
+    followed = tuple(_followed(r, values) for r in evidence) if span_k(evidence) > _FOLLOWED_K else ()
+    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), moved, followed)
+
+
+def _moved(r: RecordingEvidence, values: Mapping[str, float]) -> ComplexArray:
+    """What the diagonal of A gained row by row: a pick-off that errs is multiplied by that too."""
+    warm = r.signals.temperature_k
+    damping = values.get("damping_per_k2", 0.0) * warm**2 - values.get("thermal_damping.c", 0.0) * warm
+    return np.asarray(damping + 1j * _detuning(r, values))
+
+
+def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
+    """How far the resonance lay from the frequency of reference, row by row, by its temperature and its wander."""
+    s, slope = r.signals, values.get("frequency_per_k", 0.0)
+    late = -slope * values.get("thermal_lag.tau", 0.0) * np.gradient(s.temperature_k, s.row_s)
+    return np.asarray(_followed(r, values) + late + values.get("frequency_ageing.k", 0.0) * s.time_s)
+
+
+def _followed(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
+    """The part of it whose columns are of the pick-off's volts, feedthrough and all."""
+    s = r.signals
+    warm = values.get("frequency_per_k", 0.0) * s.temperature_k + values.get("frequency_per_k2", 0.0) * s.temperature_k**2
+    wander = values.get(f"shift_{r.index}", 0.0) + values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(s.time_s))
+    return np.asarray(warm + wander)
+
+
+def _open(r: RecordingEvidence) -> float:
+    excitation = r.recording.command.excitation
+    return excitation.frequency_hz if excitation.kind == "drive" else 0.0
+
+
+def _body(r: RecordingEvidence) -> float:
+    excitation = r.recording.command.excitation
+    return excitation.frequency_hz if excitation.kind == "body" else 0.0
+
+
+def _away(r: RecordingEvidence, omega0_rad_s: float) -> float:
+    return 2.0 * np.pi * _open(r) / omega0_rad_s - 1.0 if _open(r) > 0.0 else 0.0

@@ -1,0 +1,70 @@
+"""Noise that the diagnosis believes: of a ring-down as of any other record, and never explained by a filter that says nothing."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gyro_calib.gap.model import CampaignModel, _saturated, look_at
+from gyro_calib.gap.noise import _tamed
+from gyro_calib.gap.noise_law import PICKOFF, NoiseLaw
+from gyro_calib.gap.preflight import usable
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.units import draw_trial_unit
+
+
+@cache
+def looked_at(kind: str = "ring") -> CampaignModel:
+    unit, rng = draw_trial_unit(kind, 79, 1), np.random.default_rng(1)
+    campaign = record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "quick"), {}, rng)
+    f = campaign.factory
+    return look_at(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+
+
+def by_time(model: CampaignModel, name: str) -> dict[float, NDArray[np.float64]]:
+    """What is left of an effect beside the nuisances, by its time constant; a longer memory holds what was before its recording, too."""
+    times = {float(c.setting.get("tau", 0.0)): c for c in model.candidates[name]}
+    return {tau: model.screener.projected(c.columns)[0][:, 0] for tau, c in times.items() if 0.1 < tau < 1.0 or tau == 0.0}
+
+
+def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
+    """A memory of the pick-offs against the same of the drives: what is left of both is far below either."""
+    model = looked_at("hemisphere")
+    for name, twin in (("pickoff_memory", "drive_memory"), ("pickoff_lag", "drive_lag")):
+        of_pick, of_drive = (by_time(model, n) for n in (name, twin))
+        shared = of_pick.keys() & of_drive.keys()
+        assert shared
+        for setting in shared:
+            one, other = of_pick[setting], of_drive[setting]
+            assert one @ other > 0.95 * np.linalg.norm(one) * np.linalg.norm(other)
+
+
+def test_of_twins_the_noise_is_measured_beside_one() -> None:
+    model = looked_at()
+    names = {c.name.split(".")[0] for c in _saturated(model.evidence, [], model.candidates, [])}
+    assert {"drive_memory", "drive_lag"} <= names
+    assert not {"pickoff_memory", "pickoff_lag"} & names
+    alone = {n: c for n, c in model.candidates.items() if n not in ("drive_memory", "drive_lag")}
+    names = {c.name.split(".")[0] for c in _saturated(model.evidence, [], alone, [])}
+    assert {"pickoff_memory", "pickoff_lag"} <= names
+
+
+def test_no_kind_of_record_is_silenced_before_it_was_heard() -> None:
+    quiet, loud = NoiseLaw((1e-13, 0.0, 3e-12, 0.0)), NoiseLaw((1e-9, 2e-14, 4e-9, 1e-15), mean=1e-12)
+    noise = {("free", "precession"): quiet, ("free", "quadrature"): quiet, ("ring", "amplitude"): loud, ("open at 9 Hz", "amplitude"): loud}
+    tamed = _tamed(noise, {"free", "ring"})
+    assert tamed["free", "precession"] == quiet
+    assert tamed["open at 9 Hz", "amplitude"] == loud
+    np.testing.assert_allclose(tamed["ring", "amplitude"].coefficients, (1e-12, 2e-14, 3e-11, 1e-15))
+    assert tamed["ring", "amplitude"].mean == loud.mean
+
+
+def test_the_pickoffs_of_a_hemisphere_are_as_quiet_in_a_ring_down() -> None:
+    """One pair of pick-offs: their noise does not depend on what the wave does. It was taken for a thousand times as much."""
+    noise = looked_at("hemisphere").noise
+    kinds = [noise[role, "amplitude"].coefficients[PICKOFF] for role in ("ring", "free", "precession")]
+    assert max(kinds) < 10.0 * min(kinds)
