@@ -10,7 +10,7 @@ import pytest
 
 import gyro_calib.gap.model as gap_model
 from gyro_calib.experiments import SimulatedInstrument, run_plan
-from gyro_calib.gap.model import CampaignModel, look_at
+from gyro_calib.gap.model import CampaignModel, effect_columns, look_at
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Screener
 from gyro_calib.recording.recording import Campaign
@@ -40,8 +40,10 @@ def without_noise(unit: Unit, effects: dict[str, dict[str, float]]) -> Campaign:
     return run_plan(instrument, campaign_plan(unit.kind, unit.device.factory(), np.random.default_rng(1), QUALITY))
 
 
-def left(monkeypatch: pytest.MonkeyPatch, kind: str, effects: dict[str, dict[str, float]] | None = None) -> tuple[float, int]:
-    """Chi-square of the nuisances' fit, and its degrees of freedom."""
+def left(
+    monkeypatch: pytest.MonkeyPatch, kind: str, effects: dict[str, dict[str, float]] | None = None, *, known: bool = False
+) -> tuple[float, int]:
+    """Chi-square of the nuisances' fit, with the effects if they are ``known``, and its degrees of freedom."""
     unit = draw_trial_unit(kind, 79, 1)
     rng = np.random.default_rng(1)
     noisy = looked_at(record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, QUALITY), {}, rng))
@@ -49,7 +51,8 @@ def left(monkeypatch: pytest.MonkeyPatch, kind: str, effects: dict[str, dict[str
     quiet = looked_at(without_noise(unit, effects or {}))
     prior = {c.name: c.prior_sd for c in noisy.nuisances}
     nuisances = [replace(c, prior_sd=prior.get(c.name, c.prior_sd)) for c in quiet.nuisances]
-    screener = Screener(quiet.whitener, nuisances, quiet.target)
+    named = effect_columns([c for name in effects or {} for c in quiet.candidates[name][-1:]]) if known else []
+    screener = Screener(quiet.whitener, [*nuisances, *named], quiet.target)
     return screener.chi2, screener.dof
 
 
@@ -63,3 +66,10 @@ def test_an_effect_without_noise_leaves_what_it_is(monkeypatch: pytest.MonkeyPat
     """So that the test above can fail."""
     chi2, dof = left(monkeypatch, "ring", {"nonlinear_damping": {"c": 1e-4}})
     assert chi2 > 0.5 * dof
+
+
+def test_what_passed_for_a_feedthrough_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reference in a pick-off: the first fit takes it for part of E, and a temperature's column with that E in it does not forget."""
+    effect = {"pickoff_interference": {"v_xc": 1e-6, "v_xs": -5e-6, "v_yc": 2e-6, "v_ys": -2.8e-5}}
+    chi2, dof = left(monkeypatch, "hemisphere", effect, known=True)
+    assert chi2 < 0.06 * dof

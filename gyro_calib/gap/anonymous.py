@@ -119,6 +119,7 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: _axis(np.ones_like(x), 0) * float(s.recording.command.mode != "loops_off"),
         lambda s, x: _axis(np.ones_like(x), 1) * float(s.recording.command.mode != "loops_off"),
     ],
+    ("a constant, also in open drive", "reference"): [lambda s, x: _axis(np.ones_like(x), 0), lambda s, x: _axis(np.ones_like(x), 1)],
 }
 
 
