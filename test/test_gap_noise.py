@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from gyro_calib.gap import diagnose
 from gyro_calib.gap.model import CampaignModel, _saturated, look_at
 from gyro_calib.gap.noise import _tamed
 from gyro_calib.gap.noise_law import PICKOFF, NoiseLaw
@@ -68,3 +69,15 @@ def test_the_pickoffs_of_a_hemisphere_are_as_quiet_in_a_ring_down() -> None:
     noise = looked_at("hemisphere").noise
     kinds = [noise[role, "amplitude"].coefficients[PICKOFF] for role in ("ring", "free", "precession")]
     assert max(kinds) < 10.0 * min(kinds)
+
+
+def test_a_small_device_s_effect_has_its_name() -> None:
+    """Of a hemisphere's Duffing the prior, which is that of rings, is so wide that little evidence is left: it was called unknown."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    sizes = {"duffing_axes": {"k_x": -1.9e-6, "k_y": -1.6e-6}}
+    campaign = record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), sizes, rng)
+    found = diagnose(campaign)
+    assert [e.name for e in found.effects] == ["duffing"]
+    for name, size in sizes["duffing_axes"].items():
+        value = found.effects[0].parameters[name]
+        assert abs(value.value - size) < 4.0 * value.sd

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from gyro_calib.gap.diagnose import _without_products
 from gyro_calib.gap.noise_growth import noise_growth
 from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.screen import Candidate, Screened
+from gyro_calib.gap.select import Selection
 from gyro_calib.gap.spectra import pick_spectra
 from gyro_calib.gap.spectral_effects import spectral_effects
 from gyro_calib.gap.tones import find_tone
@@ -110,3 +114,26 @@ def test_one_amplitude_cannot_tell_and_says_so() -> None:
     status = {s.name: s.status for s in spectral_effects(one, LINEAR).standings}
     assert status["amplitude_noise"] == status["pickoff_quantisation"] == "not testable"
     assert status["external_tone"] == "excluded"
+
+
+def test_products_of_a_line_grow_with_its_share_of_the_wave() -> None:
+    """A tone of 2 mV beside a volt may leave much in the slow flow, one of 3 uV nothing."""
+    strong, weak = (spectral_effects(records(np.random.default_rng(4), tone=(15041.7, v)), LINEAR) for v in (2e-3, 3e-6))
+    assert [e.name for e in strong.effects] == [e.name for e in weak.effects] == ["external_tone"]
+    tone = find_tone(pick_spectra(records(np.random.default_rng(4), tone=(15041.7, 2e-3))), LINEAR)
+    assert tone is not None
+    assert tone.share == pytest.approx(2e-3, rel=0.05)
+    assert strong.products > 100.0
+    assert weak.products < 1.0
+    assert spectral_effects(records(np.random.default_rng(4)), LINEAR).products == 0.0
+
+
+def test_what_may_be_a_product_of_a_line_is_not_named() -> None:
+    none = np.zeros(0)
+    candidates = [Candidate(name, {}, (), none) for name in ("duffing", "relaxation")]
+    large, small = (Screened(c, gain, 1, gain / 2.0, none, none, 0.0, none) for c, gain in zip(candidates, (900.0, 90.0), strict=True))
+    found = Selection((large, small), (("duffing",), ("relaxation",)), (0.9, 0.8), None, {}, 1100.0, 110.0, 10)
+    model = SimpleNamespace(screener_with=lambda chosen: SimpleNamespace(chi2=1100.0 - 900.0 * (chosen == candidates[:1])))
+    assert _without_products(model, found, 0.0) == found  # type: ignore[arg-type]
+    left = _without_products(model, found, 200.0)  # type: ignore[arg-type]
+    assert (left.effects, left.groups, left.probabilities, left.chi2_after) == ((large,), (("duffing",),), (0.9,), 200.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -63,7 +64,8 @@ def diagnose(
     left_out = tuple(without)
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
     report(0.7, "selecting effects")
-    selection = select_effects(model)
+    beside = spectral_effects(recordings, model.linear, left_out)
+    selection = _without_products(model, select_effects(model), beside.products)
     chosen = [e.candidate for e in selection.effects]
     rich = model.fitted(chosen) if chosen else model.base
     report(0.88, "unseen experiments")
@@ -73,7 +75,6 @@ def diagnose(
     effects = tuple(
         _found(model, e, g, p, rich) for e, g, p in zip(selection.effects, selection.groups, selection.probabilities, strict=True)
     )
-    beside = spectral_effects(recordings, model.linear, left_out)
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
     unknown = _unknown(selection) or (None if effects else beside.unknown)
     verdict = _verdict(effects, unknown, lines)
@@ -161,7 +162,9 @@ def _setting_sd(model: CampaignModel, e: Screened, key: str) -> float:
         if (s := model.screener.screen(c)) is not None and s.log_evidence > e.log_evidence - 2.0
     ]
     grid = sorted({float(c.setting[key]) for c in model.candidates[e.name]})
-    step = float(np.median(np.diff(grid))) if len(grid) > 1 else 0.0
+    here = float(e.candidate.setting[key])
+    beside = sorted(abs(other - here) for other in grid if other != here)
+    step = float(np.mean(beside[:2])) if beside else 0.0
     return max(0.5 * (max(near, default=0.0) - min(near, default=0.0)), 0.3 * step)
 
 
@@ -192,6 +195,22 @@ def _scale_shift(model: CampaignModel, rich: Solution) -> tuple[float, float]:
         sd = math.sqrt(max(float(rich.covariance[place, place]), 0.0)) / abs(G[k, k])
         found.append((abs(G[k, k]) / abs(before[k, k]) - 1.0, sd))
     return max(found, key=lambda pair: abs(pair[0]))
+
+
+def _without_products(model: CampaignModel, selection: Selection, gain: float) -> Selection:
+    """Less what may be no more than squares of a tone or a hum, which the loops that follow it make."""
+    kept = [k for k, e in enumerate(selection.effects) if e.gain > gain]
+    stranger = selection.stranger if selection.stranger is not None and selection.stranger.screened.gain > gain else None
+    if len(kept) == len(selection.effects):
+        return replace(selection, stranger=stranger)
+    return replace(
+        selection,
+        effects=tuple(selection.effects[k] for k in kept),
+        groups=tuple(selection.groups[k] for k in kept),
+        probabilities=tuple(selection.probabilities[k] for k in kept),
+        stranger=stranger,
+        chi2_after=model.screener_with([selection.effects[k].candidate for k in kept]).chi2,
+    )
 
 
 def _unknown(selection: Selection) -> Unknown | None:

@@ -153,7 +153,7 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen = [_refined(model, model.screener_with(_without(chosen, k)), c) for k, c in enumerate(chosen)]
     chosen, effects = _settled(model, chosen, largest)
     _, effects = _or_exact_level(model, chosen, effects)
-    chosen = [e.candidate for e in effects]
+    chosen, effects = _named_all_the_same(model, [e.candidate for e in effects], effects)
     groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
     screener = model.screener_with(chosen)
     stranger = _stranger(model, chosen, effects, first)
@@ -167,6 +167,33 @@ def select_effects(model: CampaignModel) -> Selection:
         chi2_after=screener.chi2,
         dof=screener.dof,
     )
+
+
+def _named_all_the_same(
+    model: CampaignModel, chosen: list[Candidate], effects: tuple[Screened, ...]
+) -> tuple[list[Candidate], tuple[Screened, ...]]:
+    """With the effect of the registry that explains what an unnamed term would, if there is one.
+
+    Its prior may be that of much larger devices: a hemisphere that stiffens by 1e-6 of what a ring may has little evidence against none,
+    but it has the name.
+    """
+    screener = model.screener_with(chosen)
+    best = max((s for _, c in model.bank if (s := screener.screen(c)) is not None), key=_worth, default=None)
+    if best is None or not _unnamed_counts(best, effects) or len(chosen) >= _MOST_EFFECTS:
+        return chosen, effects
+    taken = {c.name for c in chosen}
+    tried = [s for n, cs in model.candidates.items() if n not in taken for c in cs if (s := screener.screen(c)) is not None and physical(s)]
+    named = max(tried, key=lambda s: _worth(s, _own(s)), default=None)
+    if named is None or _worth(named, _own(named)) < _worth(best) - _ALIKE:
+        return chosen, effects
+    chosen = relinearised(model, [*chosen, _refined(model, screener, named.candidate)])
+    return chosen, _together(model, chosen)
+
+
+def _unnamed_counts(found: Screened, effects: Sequence[Screened]) -> bool:
+    """Whether an unnamed term is more than what a hundred of them reach by chance, and more than what first order leaves of the effects."""
+    least = max(LEAST_GAIN + 2.0 * _BANK_MARGIN, _LEFT_SHARE * sum(e.gain for e in effects))
+    return _worth(found) > MARGIN + _BANK_MARGIN and found.gain > least
 
 
 def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
@@ -300,7 +327,7 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
     mine = model.screener_with(others).screen(chosen[k])
     if mine is None:
         return (name,)
-    least, alike = min(mine.log_evidence, MARGIN), max(mine.log_evidence - _ALIKE, 0.0)
+    least, alike = min(mine.log_evidence, MARGIN), max(mine.log_evidence - _ALIKE, 0.0) if mine.log_evidence > MARGIN else np.inf
     return (
         name,
         *(
@@ -313,8 +340,9 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
 
 def _probability(effect: Screened) -> float:
     """Of the effect against none, both alike before, times how often groups of such evidence were right in blind trials."""
-    trust = float(np.interp(np.log10(max(effect.log_evidence, 1.0)), np.log10(_EVIDENCES), _TRUST))
-    return float(trust / (1.0 + np.exp(-0.5 * (effect.log_evidence - MARGIN / 2.0))))
+    evidence = max(effect.log_evidence, _worth(effect, _own(effect)) - _BANK_MARGIN)
+    trust = float(np.interp(np.log10(max(evidence, 1.0)), np.log10(_EVIDENCES), _TRUST))
+    return float(trust / (1.0 + np.exp(-0.5 * (evidence - MARGIN / 2.0))))
 
 
 def _stranger(
@@ -332,8 +360,7 @@ def _stranger(
     share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
     if rest:
         best, term = max(rest, key=lambda pair: _worth(pair[0]))
-        explained = sum(e.gain for e in effects)
-        if _worth(best) > MARGIN + _BANK_MARGIN and best.gain > max(LEAST_GAIN + 2.0 * _BANK_MARGIN, _LEFT_SHARE * explained):
+        if _unnamed_counts(best, effects):
             return Stranger(term, best, nearest)
         if chosen:
             singly = [(s, a) for a, c in model.bank if (s := model.screener.screen(c)) is not None]

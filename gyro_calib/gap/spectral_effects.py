@@ -23,6 +23,8 @@ SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise")
 #: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
 _SIGMA = 6.0
 _SEEN = _SIGMA + 1.28
+#: how much of a line's own gain, times its squared share of the wave, its squares may have where the model looks
+_SQUARES = 3.0
 #: probability of a finding that is as strong as it must be here
 _PROBABILITY = 0.95
 #: converters' steps: their noise is that of any floor, and says nothing of where it comes from
@@ -40,11 +42,14 @@ class SpectralEffects:
         Noise across the phase that grows with the amplitude: a clock.
     standings : tuple of Standing
         One line per effect of this kind.
+    products : float
+        Gain that the squares of a line may have in the slow flow: what is found there and no larger may be no more than that.
     """
 
     effects: tuple[FoundEffect, ...]
     unknown: Unknown | None
     standings: tuple[Standing, ...]
+    products: float = 0.0
 
 
 def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: Iterable[str] = ()) -> SpectralEffects:
@@ -68,7 +73,8 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     present = {e.name for e in effects}
     alike = {name: e.name for e in effects for name in e.group[1:]}
     standings = [_standing(name, present, alike, growth, bool(spectra)) for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
-    return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings))
+    products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
+    return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings), products)
 
 
 def _tone(tone: Tone) -> FoundEffect:

@@ -52,6 +52,8 @@ class Tone:
     volts, volts_sd : ndarray, shape (2,)
         Hum on each pick-off; drive volts that would shake each axis as the tone does.
     log_evidence : float
+    share : float
+        Amplitude of the line over the wave's.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Tone:
     volts: FloatArray
     volts_sd: FloatArray
     log_evidence: float
+    share: float
 
 
 def find_tone(spectra: Sequence[PickSpectrum], linear: Linear) -> Tone | None:
@@ -160,7 +163,15 @@ def _told(spectra: Sequence[PickSpectrum], line: _Line, linear: Linear, evidence
         volts=np.median(sizes, axis=0),
         volts_sd=np.std(sizes, axis=0) / math.sqrt(len(used)) + 1e-12,
         log_evidence=evidence,
+        share=float(np.median([_share(s.recording, f) for s, f in zip(used, places, strict=True)])),
     )
+
+
+def _share(r: Recording, away_hz: float) -> float:
+    """Amplitude of the line over the mean amplitude of the wave."""
+    window = steep_window(len(r))
+    wave = window * np.exp(-2j * np.pi * away_hz * (r.t - r.t[0])) / window.sum()
+    return float(np.linalg.norm(wave @ detrended(r.pick)) / np.sqrt(np.mean(np.sum(np.abs(r.pick) ** 2, axis=1))))
 
 
 def _volts(r: Recording, away_hz: float, linear: Linear, *, hum: bool) -> FloatArray:

@@ -41,6 +41,8 @@ _NOT_MULTIPLEXED = (
     "drive_saturation",
     "drive_dead_zone",
 )
+#: effects whose nuisance has another name
+_HEALTHY = {"thermal_frequency_curvature", "angular_gain_error"}
 #: what drifts in the stratum `drift`, standard deviations: frequency [rad/s^2], damping [1/s^2], temperature [K/s]
 _AGEING, _LEAK, _RAMP_K_PER_S = 2e-6, 1e-8, 3e-4
 
@@ -184,7 +186,11 @@ def _look(campaign: Campaign) -> CampaignModel:
 def _sized(trial: Trial, reference: CampaignModel, rng: np.random.Generator, *, multiplexed: bool) -> list[Sized]:
     """The first effects of the trial's order that a fair size gives their ratio, and that not everything imitates."""
     found: list[Sized] = []
+    # what a healthy device has as well stays in the model: without its name it is none the less known
+    healthy = {c.name.split(".")[0] for c in reference.nuisances} | _HEALTHY if trial.stratum == "removed" else set()
     for name in trial.order:
+        if reported_name(name) in healthy:
+            continue
         if len(found) == len(trial.snr):
             break
         if any(reported_name(name) == reported_name(s.name) for s in found) or (multiplexed and name in _NOT_MULTIPLEXED):
