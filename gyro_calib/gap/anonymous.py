@@ -84,6 +84,10 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: _axis((np.abs(x) ** 2 * x)[:, ::-1], 0),
         lambda s, x: _axis((np.abs(x) ** 2 * x)[:, ::-1], 1),
     ],
+    ("|x_k|^2 x_j, k the other axis", "amplitude"): [
+        lambda s, x: _axis(np.abs(x[:, ::-1]) ** 2 * x, 0),
+        lambda s, x: _axis(np.abs(x[:, ::-1]) ** 2 * x, 1),
+    ],
     ("|x|^4 x", "amplitude"): [lambda s, x: _norm(x) ** 4 * x],
     ("x/|x|", "amplitude"): [lambda s, x: x / (_norm(x) + 1e-9)],
     ("x*", "phase reference"): [lambda s, x: x.conj()],
@@ -123,6 +127,8 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
 }
 
 
+#: of a wave that never turns the other axis holds noise alone, which such a term would explain
+_TURNING, _TURNED_RAD = ("|x_k|^2 x_j, k the other axis",), np.pi
 #: on what a term may depend that follows its signal at once
 _AT_ONCE = ("amplitude", "temperature", "time")
 
@@ -130,8 +136,11 @@ _AT_ONCE = ("amplitude", "temperature", "time")
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
     """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
     found = []
+    turns = any(r.signal.turn_rad > _TURNED_RAD for r in evidence)
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in _MONOMIALS.items():
+            if text in _TURNING and not turns:
+                continue
             if kind == "output" and depends in ("rate", "phase reference"):
                 # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate
                 continue

@@ -121,7 +121,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
 
 
 def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: float) -> list[Column]:
-    """Gains and damping while the temperature moves: their places are not the sensor's, and lag behind it by tenths of a second.
+    """Gains, phases and damping while the temperature moves: their places are not the sensor's, and lag behind it by tenths of a second.
 
     And the bias in rate that follows the temperature as the damping's anisotropy does, which healthy devices have as well.
     """
@@ -129,11 +129,16 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
     for r in evidence:
         slope = np.gradient(r.signals.temperature_k, r.signals.row_s)[:, None]
         motion = r.signals.pick - r.signals.drive @ linear.E.T
-        parts = [Part(f"gradient_gain_{a}", "drive", slope * r.signals.drive * np.eye(2)[k]) for k, a in enumerate("xy")]
+        parts = [
+            Part(f"gradient_{name}_{a}", "drive", factor * slope * r.signals.drive * np.eye(2)[k])
+            for name, factor in (("gain", 1.0), ("phase", 1j))
+            for k, a in enumerate("xy")
+        ]
         turned = r.signals.temperature_k[:, None] * np.stack([motion[:, 1], -motion[:, 0]], axis=1)
         by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion), Part("rate_per_k", "flow", turned)])
     damping = abs(np.trace(linear.A).real) / 2.0
     sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
+    sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
     found = part_columns(evidence, by_recording, linear)
     return [replace(c, prior_sd=sizes.get(c.name, _GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
 
