@@ -40,7 +40,7 @@ def test_a_switched_drive_does_not_fold_into_the_lines() -> None:
 
 
 def test_a_step_of_the_drive_kicks_the_wave_by_what_turns_at_twice_the_carrier() -> None:
-    """An oscillator from rest, a drive that begins at one phase or another: beside G u t a jump of G conj(u) / 2 w, turned by -2 phase."""
+    """An oscillator from rest, a drive that begins at one phase or another: beside G u t a jump of conj(G u) / 2 w, turned by -2 phase."""
     omega, gain, step = 2.0 * np.pi * 200.0, 3.0, 0.7
     end, cycle = 40.0 * np.pi / omega, 2.0 * np.pi / omega
     t = end + cycle * np.arange(64) / 64

@@ -59,7 +59,7 @@ def _blurred_records(evidence: CampaignEvidence, linear: Linear) -> list[Column]
 
 
 def _kicks(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """A drive that steps kicks the wave by its part at twice the carrier, ``G conj(du) / 2 omega`` turned by the carrier's phase then.
+    """A drive that steps kicks the wave by its part at twice the carrier, ``conj(G du) / 2 omega`` turned by the carrier's phase then.
 
     No envelope holds that phase: a complex unknown for each recording in which a drive was switched.
     """
@@ -71,7 +71,7 @@ def _kicks(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         step[size < _ABRUPT * np.median(size)] = 0.0
         if r.recording.command.mode not in _SWITCHED or not np.any(step):
             continue
-        kick = (step.conj() @ linear.G.T) / (2.0 * evidence.omega0_rad_s * s.row_s)
+        kick = (step @ linear.G.T).conj() / (2.0 * evidence.omega0_rad_s * s.row_s)
         sides = []
         for place in (SIGNAL, QUIET):
             kicked = r.turn * place.projector(r).plain(kick[:, None, :])[:, 0]
