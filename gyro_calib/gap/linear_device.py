@@ -41,8 +41,8 @@ _KAPPA = 3e-4
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
 _FEEDTHROUGH, ROW_MOMENT = 2e-3, 1.0
 _TURNED_RAD = np.pi
-#: temperature's span over a campaign from which on what depends on it can be measured, and from which on its frequency can
-TEMPERATURE_SPAN_K, _FOLLOWED_K = 0.5, 0.05
+#: temperature's span over a campaign from which on what depends on it can be measured; more no resonator follows it [1/K]
+TEMPERATURE_SPAN_K, _MOST_PER_K = 0.5, 3e-4
 
 
 def collected(
@@ -206,8 +206,9 @@ def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_g
 
     A, reduced, E = matrix("A"), matrix("G"), matrix("E")
     moved = tuple(_moved(r, values) for r in evidence)
-    # of a temperature that stood still there is no coefficient, but any number
-    followed = tuple(_followed(r, values) for r in evidence) if span_k(evidence) > _FOLLOWED_K else ()
+    # of a temperature that is its sensor's noise the coefficient is any number
+    is_known = abs(values.get("frequency_per_k", 0.0)) < _MOST_PER_K * evidence.omega0_rad_s
+    followed = tuple(_followed(r, values) for r in evidence) if is_known else ()
     return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), moved, followed)
 
 

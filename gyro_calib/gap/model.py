@@ -216,10 +216,12 @@ def _open_drive(evidence: CampaignEvidence) -> bool:
 def _missing(evidence: CampaignEvidence) -> set[str]:
     """What these recordings do not have, of what effects need.
 
-    A resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed; a temperature
-    that only wanders is the thermometer's noise.
+    A resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed: neither an
+    open drive nor side bands tell a lag from it. A temperature that only wanders is the thermometer's noise.
     """
-    there = {"open drive": _open_drive(evidence), "temperature": span_k(evidence) >= TEMPERATURE_SPAN_K}
+    told = _open_drive(evidence)
+    modulated = any(r.recording.command.excitation.kind.endswith("modulation") for r in evidence)
+    there = {"open drive": told, "side bands": told or modulated, "temperature": span_k(evidence) >= TEMPERATURE_SPAN_K}
     return {name for name, yes in there.items() if not yes}
 
 
