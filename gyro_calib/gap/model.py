@@ -16,7 +16,7 @@ from .columns import Column
 from .evidence import CampaignEvidence
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, linear_columns, linear_of, span_k, target_of
 from .noise import first_noise, measured_noise
-from .nuisance import slow_columns, thermal_columns, wander_columns, with_wander
+from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns, with_wander
 from .parts import Linear, Setting
 from .preflight import check_linear
 from .screen import Candidate, Screener
@@ -216,12 +216,13 @@ def _open_drive(evidence: CampaignEvidence) -> bool:
 def _missing(evidence: CampaignEvidence) -> set[str]:
     """What these recordings do not have, of what effects need.
 
-    A resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed: neither an
-    open drive nor side bands tell a lag from it. A temperature that only wanders is the thermometer's noise.
+    A resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed: without
+    an open drive, side bands or a switched drive nothing tells a lag from it. A temperature that only wanders is the thermometer's noise.
     """
     told = _open_drive(evidence)
-    modulated = any(r.recording.command.excitation.kind.endswith("modulation") for r in evidence)
-    there = {"open drive": told, "side bands": told or modulated, "temperature": span_k(evidence) >= TEMPERATURE_SPAN_K}
+    commands = [r.recording.command for r in evidence]
+    changed = any(c.excitation.kind.endswith("modulation") or c.mode in SWITCHED for c in commands)
+    there = {"open drive": told, "side bands": told or changed, "temperature": span_k(evidence) >= TEMPERATURE_SPAN_K}
     return {name for name, yes in there.items() if not yes}
 
 

@@ -20,6 +20,7 @@ from .parts import Linear, Part
 from .signals import SMOOTH_S
 
 __all__ = [
+    "SWITCHED",
     "slow_columns",
     "thermal_columns",
     "wander_columns",
@@ -39,7 +40,7 @@ _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
 #: how late a temperature sensor is behind the resonator, and behind what warms elsewhere [s]
 _SENSOR_LAG_S, _GRADIENT_LAG_S = 0.1, 0.3
 #: modes in which a drive is switched within a recording, and over its median change a step
-_SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
+SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
 #: temperature's span over a campaign from which on a healthy device's coefficients are allowed for [K]
 _NOTICED_K = 0.02
 
@@ -69,7 +70,7 @@ def _kicks(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         step = np.diff(s.drive, axis=0, prepend=s.drive[:1])
         size = np.linalg.norm(step, axis=1)
         step[size < _ABRUPT * np.median(size)] = 0.0
-        if r.recording.command.mode not in _SWITCHED or not np.any(step):
+        if r.recording.command.mode not in SWITCHED or not np.any(step):
             continue
         kick = (step @ linear.G.T).conj() / (2.0 * evidence.omega0_rad_s * s.row_s)
         sides = []
