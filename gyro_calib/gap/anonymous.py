@@ -128,7 +128,7 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
 
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
-_TURNING, _TURNED_RAD = ("|x_k|^2 x_j, k the other axis",), np.pi
+_TURNING = ("|x_k|^2 x_j, k the other axis",)
 #: on what a term may depend that follows its signal at once
 _AT_ONCE = ("amplitude", "temperature", "time")
 
@@ -136,10 +136,9 @@ _AT_ONCE = ("amplitude", "temperature", "time")
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
     """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
     found = []
-    turns = any(r.signal.turn_rad > _TURNED_RAD for r in evidence)
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in _MONOMIALS.items():
-            if text in _TURNING and not turns:
+            if text in _TURNING and not evidence.turns:
                 continue
             if kind == "output" and depends in ("rate", "phase reference"):
                 # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate

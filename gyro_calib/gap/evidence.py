@@ -146,6 +146,11 @@ class CampaignEvidence:
     def __len__(self) -> int:
         return len(self.recordings)
 
+    @property
+    def turns(self) -> bool:
+        """Whether the wave of any recording turned by half a turn of psi or more."""
+        return any(r.signal.turn_rad > math.pi for r in self.recordings)
+
 
 def _evidence(
     index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float, before: Signals | None

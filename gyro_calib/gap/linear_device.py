@@ -40,7 +40,6 @@ _DISPERSION, _BENT_DISPERSION, _SKEWED_RATE = 5e-3, 1e-2, 0.05
 _KAPPA = 3e-4
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
 _FEEDTHROUGH, ROW_MOMENT = 2e-3, 1.0
-_TURNED_RAD = np.pi
 #: temperature's span over a campaign from which on what depends on it can be measured; more no resonator follows it [1/K]
 TEMPERATURE_SPAN_K, _MOST_PER_K = 0.5, 3e-4
 
@@ -110,7 +109,7 @@ def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None, *, 
                 columns += collected(f"table_{place}", evidence, _entry("jerk", a, b), _TABLE_CLOCK_S)
         for f in bodies:
             columns += collected(f"body_{'xy'[a]}_{f:.0f}", evidence, _entry("body", a, None, _shaken_at(f)))
-        if any(r.signal.turn_rad > _TURNED_RAD for r in evidence):
+        if evidence.turns:
             columns += collected(f"force_{'xy'[a]}", evidence, _entry("constant", a, None, lambda r: float(r.is_wave)))
     return columns + (_rate_columns(evidence, rate_known) if turned else [])
 

@@ -39,8 +39,9 @@ class Linear:
     moved_rad_s : tuple of ndarray, complex
         By recording and row what the temperature and the resonance's wander add to the diagonal of A: damping, and i times how far the
         resonance lay from the frequency of reference; empty: as the slope says.
-    followed_rad_s : tuple of ndarray
-        The part of that distance which the fit takes from the pick-off's volts: the column of E takes off what feeds through of them.
+    followed_rad_s : tuple of ndarray, shape (n,) each
+        By recording and row the part of that distance which the fit takes from the pick-off's volts: the column of E takes off what feeds
+        through of them. Empty: not known.
     """
 
     A: ComplexArray
