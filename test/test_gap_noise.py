@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.model import CampaignModel, _saturated, look_at
+from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.noise import _tamed
 from gyro_calib.gap.noise_law import PICKOFF, NoiseLaw
 from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.saturated import saturated_columns
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -46,11 +47,11 @@ def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
 
 def test_of_twins_the_noise_is_measured_beside_one() -> None:
     model = looked_at()
-    names = {c.name.split(".")[0] for c in _saturated(model.evidence, [], model.candidates, [])}
+    names = {c.name.split(".")[0] for c in saturated_columns(model.evidence, model.linear, [], model.candidates, [])}
     assert {"drive_memory", "drive_lag"} <= names
     assert not {"pickoff_memory", "pickoff_lag"} & names
     alone = {n: c for n, c in model.candidates.items() if n not in ("drive_memory", "drive_lag")}
-    names = {c.name.split(".")[0] for c in _saturated(model.evidence, [], alone, [])}
+    names = {c.name.split(".")[0] for c in saturated_columns(model.evidence, model.linear, [], alone, [])}
     assert {"pickoff_memory", "pickoff_lag"} <= names
 
 

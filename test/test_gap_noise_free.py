@@ -10,8 +10,9 @@ import pytest
 
 import gyro_calib.gap.model as gap_model
 from gyro_calib.experiments import SimulatedInstrument, run_plan
-from gyro_calib.gap.model import CampaignModel, effect_columns, look_at
+from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.saturated import effect_columns
 from gyro_calib.gap.screen import Screener
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator

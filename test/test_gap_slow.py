@@ -13,7 +13,8 @@ from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap.columns import Column
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.relinearise import relinearised
-from gyro_calib.gap.slow import measured_drifts, with_drifts
+from gyro_calib.gap.sizes import measured_shares, with_shares
+from gyro_calib.gap.slow import drift_family
 from gyro_calib.gap.system import Solution
 from gyro_calib.simulation import GyroSimulator
 
@@ -32,17 +33,27 @@ def solution(sizes: dict[str, float], rng: np.random.Generator) -> Solution:
 
 def test_the_size_of_a_drift_is_measured_family_by_family() -> None:
     truth = {"gain": 0.2, "strayc": 0.03}
-    found = [measured_drifts(solution(truth, np.random.default_rng(seed))) for seed in range(40)]
+    found = [measured_shares(solution(truth, np.random.default_rng(seed)), drift_family) for seed in range(40)]
     for family, size in truth.items():
         # sixteen coefficients tell a size to a fifth
         assert np.exp(np.mean([math.log(f[family]) for f in found])) == pytest.approx(size, rel=0.25)
 
 
 def test_what_does_not_drift_is_not_allowed_to() -> None:
-    found = [measured_drifts(solution({"gain": 0.0}, np.random.default_rng(seed)))["gain"] for seed in range(20)]
+    found = [measured_shares(solution({"gain": 0.0}, np.random.default_rng(seed)), drift_family)["gain"] for seed in range(20)]
     assert np.median(found) < 0.01
     columns = solution({"gain": 0.0}, np.random.default_rng(0)).columns
-    assert all(c.prior_sd < 0.01 for c in with_drifts(columns, {"gain": float(np.median(found))}))
+    assert all(c.prior_sd < 0.01 for c in with_shares(columns, drift_family, {"gain": float(np.median(found))}))
+
+
+def test_a_size_is_measured_through_coefficients_that_are_badly_told() -> None:
+    """Fifty wanders of 0.01, each told to 0.1: their mean square says 0.1, and a prior of that size would hide a shift of 0.05."""
+    rng = np.random.default_rng(7)
+    columns = [Column(f"shift_{k}", (), (), 1.0) for k in range(50)]
+    told_sd = np.where(np.arange(50) < 25, 0.1, 0.004)
+    values = 0.01 * rng.standard_normal(50) + told_sd * rng.standard_normal(50)
+    found = Solution(tuple(columns), values, np.diag(told_sd**2), np.zeros(1), 0.0, np.zeros((1, 1)))
+    assert measured_shares(found, lambda c: c.name.split("_")[0])["shift"] == pytest.approx(0.01, rel=0.3)
 
 
 def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of_the_moment() -> None:

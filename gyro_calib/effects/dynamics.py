@@ -58,15 +58,14 @@ DYNAMICS = (
         ("quadratic_damping", "drive_dead_zone"),
     ),
     Effect(
-        "spurious_mode", "Another mode near the resonance, driven and read along with it", "dynamics", (39,),
+        "spurious_mode", "Another mode (or pair of modes) near the resonance, driven and read along with it", "dynamics", (39,),
         (
             signed("separation_hz", "Hz", 3.0, 2000.0, "its frequency above the mean natural frequency, which it follows with temperature"),
             positive("half_width_hz", "Hz", 2.0, 500.0, "its half-width", lower=0.01),
-            signed("gain_x", "1/s", 0.05, 50.0, "what it adds to the x pick-off"),
-            signed("gain_y", "1/s", 0.05, 50.0, "what it adds to the y pick-off"),
+            *(signed(f"gain_{a}{b}", "1/s", 0.05, 50.0, f"what it adds to the {a} pick-off of the {b} drive") for a in "xy" for b in "xy"),
         ),
         ("side bands", "open drive"), BOTH,
-        "V_j += gain_j q, q' = (2 pi i separation - i dw - 2 pi half_width) q + (u_x + u_y), dw of the reference above the mean frequency",
+        "V_j += sum_k gain_jk q_k, q_k' = (2 pi i separation - i dw - 2 pi half_width) q_k + u_k, dw: reference above the mean frequency",
         ("pickoff_memory", "drive_memory", "drive_lag"),
     ),
     Effect(

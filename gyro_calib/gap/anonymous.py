@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import conjugate_product
+from .forms import FORMS, conjugate_product
 from .memory import remembered
 from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
@@ -68,6 +68,16 @@ def _axis(x: ComplexArray, axis: int) -> ComplexArray:
 
 def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
     return lambda s, x: f(s)[:, None] * x
+
+
+def _in_step(x: ComplexArray) -> FloatArray:
+    """Mean of the product of both axes over a cycle, twice."""
+    return np.asarray((x[:, 0] * x[:, 1].conj()).real)
+
+
+def _by_motion(p: ComplexArray, x: ComplexArray) -> ComplexArray:
+    """Fundamental of m^2 x over that of x, m the motion's volts of each axis: a force across a gap that closes."""
+    return np.asarray(np.abs(p) ** 2 * x + 0.5 * p**2 * x.conj())
 
 
 def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
@@ -124,7 +134,18 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: _axis(np.ones_like(x), 1) * float(s.recording.command.mode != "loops_off"),
     ],
     ("a constant, also in open drive", "reference"): [lambda s, x: _axis(np.ones_like(x), 0), lambda s, x: _axis(np.ones_like(x), 1)],
+    ("|u|^2 x, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * x],
+    ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
+    ("|p_j|^2 x_j, p the motion", "amplitude"): [
+        lambda s, x: _axis(_by_motion(s.pick, x), 0),
+        lambda s, x: _axis(_by_motion(s.pick, x), 1),
+    ],
 }
+#: terms that only tell anything new of a signal other than their own
+_OF_DRIVE, _OF_MOTION = ("|u|^2 x, u the drives", "u_x u_y x on the other axis, u the drives"), ("|p_j|^2 x_j, p the motion",)
+#: effects of a level, tried with any share of what lies beyond it: a knee that is soft
+_KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}
+_KNEE_STEP = 2
 
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
@@ -140,7 +161,9 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
         for (text, depends), monomials in _MONOMIALS.items():
             if text in _TURNING and not evidence.turns:
                 continue
-            if kind == "output" and depends in ("rate", "phase reference"):
+            if (text in _OF_DRIVE and kind == "drive") or (text in _OF_MOTION and kind != "drive"):
+                continue
+            if kind == "output" and depends in ("rate", "phase reference", "drive"):
                 # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate
                 continue
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
@@ -150,6 +173,19 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                     continue
                 prior = np.full(len(columns), 0.1)
                 found.append((Anonymous(location, phase, text, depends), Candidate(f"{location} {text}", {}, columns, prior)))
+    return found + _knees(evidence, linear)
+
+
+def _knees(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
+    """What lies beyond a level grows otherwise, by any share."""
+    found = []
+    for name, kind in _KNEES.items():
+        settings = FORMS[name].settings([r.signals for r in evidence])[::_KNEE_STEP]
+        for setting in settings:
+            columns = tuple(form_columns(evidence, FORMS[name], linear, setting))
+            if any(np.any(v) for c in columns for v in c.signal):
+                term = Anonymous(LOCATIONS[kind], "in phase", f"what lies beyond {setting['level']:.3g} V", "amplitude")
+                found.append((term, Candidate(term.name, setting, columns, np.array([1.0]), len(settings))))
     return found
 
 

@@ -149,17 +149,17 @@ def _modes(signals: list[Signals]) -> list[Setting]:
 
 
 def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """A resonance of its own, which follows the temperature as the gyro's does; an open drive has held it in its steady state."""
+    """Resonances of their own, which follow the temperature as the gyro's does; an open drive has held them in their steady state."""
     pole = 2.0 * np.pi * complex(-setting["half_width_hz"], setting["separation_hz"])
-    force = s.drive.sum(axis=1)
     behind = s.omega_rad_s - s.omega0_rad_s - d.moved(s).imag
     if s.recording.command.mode == "loops_off":
-        answer = force / (1j * behind - pole)
+        answers = s.drive / (1j * behind - pole)[:, None]
     else:
         # in the frame that the resonance turns with, where the pole stands still
-        turn = np.exp(1j * np.cumsum(behind) * s.row_s)
-        answer = _driven(force * turn, pole, s.row_s) / turn
-    return _by_axis("output", "gain", answer[:, None] * np.ones((1, 2)))
+        turn = np.exp(1j * np.cumsum(behind) * s.row_s)[:, None]
+        answers = _driven(s.drive * turn, pole, s.row_s) / turn
+    of_drive = {b: np.stack([answers[:, k]] * 2, axis=1) for k, b in enumerate("xy")}
+    return [Part(f"gain_{a}{b}", "output", _only(answer, k)) for k, a in enumerate("xy") for b, answer in of_drive.items()]
 
 
 def _driven(force: ComplexArray, pole: complex, row_s: float) -> ComplexArray:
@@ -167,8 +167,8 @@ def _driven(force: ComplexArray, pole: complex, row_s: float) -> ComplexArray:
     z = pole * row_s
     grown = np.exp(z)
     first, second = (grown - 1.0) / z, (grown - 1.0 - z) / z**2
-    start = (-force[0] / pole - row_s * second * force[0]).reshape(1)
-    out, _ = lfilter(row_s * np.array([second, first - second]), [1.0, -grown], force, zi=start)
+    start = -force[:1] / pole - row_s * second * force[:1]
+    out, _ = lfilter(row_s * np.array([second, first - second]), [1.0, -grown], force, axis=0, zi=start)
     return np.asarray(out)
 
 

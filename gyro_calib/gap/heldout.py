@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .columns import Column
-from .model import CampaignModel, effect_columns
+from .model import CampaignModel
+from .saturated import effect_columns
 from .screen import Candidate, Screener
 from .system import Whitener, solve
 

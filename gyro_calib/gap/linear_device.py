@@ -33,9 +33,12 @@ _Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
 
 #: curvature of the frequency [1/K^2]; a rate table's clock [s]
 _FREQUENCY_PER_K2, _TABLE_CLOCK_S = 1e-7, 1e-3
-#: change of E over a relative distance of one from resonance, and its curvature, which multiplexed electronics have (a resonance rings on
-#: in the slots that do not drive it); reaction of the diagonal of A to rate over kappa
-_DISPERSION, _BENT_DISPERSION, _SKEWED_RATE = 5e-3, 1e-2, 0.05
+#: reaction of the diagonal of A to rate over kappa
+_SKEWED_RATE = 0.05
+#: change of E over a relative distance of one from resonance, and its curvature, over E: a delay of some cycles of the carrier
+_DISPERSION, _BENT_DISPERSION = 5.0, 12.0
+#: the same of multiplexed electronics, whose resonance rings on in the slots that do not drive it, as its answer to the drive does
+_RINGING, _BENT_RINGING = 5e-3, 1e-2
 #: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
 _KAPPA = 3e-4
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
@@ -93,6 +96,7 @@ def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None, *, 
     bodies = sorted({_body(r) for r in evidence if _body(r) > 0.0})
     turned = any("applied_rate" in r.recording.extras for r in evidence)
     open_drive = {round(_open(r), 3) for r in evidence if _open(r) > 0.0}
+    feeds = float(np.abs(linear.E).max()) if linear is not None else _FEEDTHROUGH
     for a in range(2):
         for b in range(2):
             place = f"{'xy'[a]}{'xy'[b]}"
@@ -102,16 +106,30 @@ def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None, *, 
             known = np.inf if open_drive else _FEEDTHROUGH
             columns += _feedthrough(place, evidence, linear, (a, b), known)
             if len(open_drive) > 1:
-                for name, power, size in (("dispersion", 1, _DISPERSION), ("bent_dispersion", 2, _BENT_DISPERSION)):
+                for name, power, over_e in (("dispersion", 1, _DISPERSION), ("bent_dispersion", 2, _BENT_DISPERSION)):
                     by_distance = _entry("drive_rate", a, b, lambda r, power=power: _away(r, evidence.omega0_rad_s) ** power)  # type: ignore[misc]
-                    columns += collected(f"{name}_{place}", evidence, by_distance, size)
+                    columns += collected(f"{name}_{place}", evidence, by_distance, over_e * feeds)
             if turned:
                 columns += collected(f"table_{place}", evidence, _entry("jerk", a, b), _TABLE_CLOCK_S)
         for f in bodies:
             columns += collected(f"body_{'xy'[a]}_{f:.0f}", evidence, _entry("body", a, None, _shaken_at(f)))
         if evidence.turns:
             columns += collected(f"force_{'xy'[a]}", evidence, _entry("constant", a, None, lambda r: float(r.is_wave)))
+    if linear is not None and len(open_drive) > 1:
+        columns += _ringing(evidence, linear.G / np.abs(linear.G).max())
     return columns + (_rate_columns(evidence, rate_known) if turned else [])
+
+
+def _ringing(evidence: CampaignEvidence, direction: ComplexArray) -> list[Column]:
+    """What multiplexed electronics feed through away from resonance: one function of the distance times G."""
+    columns: list[Column] = []
+    for name, power, size in (("ringing", 1, _RINGING), ("bent_ringing", 2, _BENT_RINGING)):
+
+        def rung(r: RecordingEvidence, p: WaveProjected, power: int = power) -> ComplexArray:
+            return np.asarray(_away(r, evidence.omega0_rad_s) ** power * np.einsum("nab,ab->n", p.drive_rate, direction))
+
+        columns += collected(name, evidence, rung, size)
+    return columns
 
 
 def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:

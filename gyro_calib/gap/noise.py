@@ -11,7 +11,7 @@ millikelvins are noise, not effects.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +38,10 @@ _UNLIKE, _FEWEST_FREE = 3.0, 3.0
 _LEAST_FREEDOM = 0.3
 #: modes whose wave rises or decays: no line of theirs is quiet
 _FALLING = ("ring_down", "ring_up")
+#: how far the drive gains may be from those of a fit without effects, sd over the largest of them
+_GAIN_SHARE = 0.01
+#: noise of the saturated model over that of one without effects, in power, at least
+_FLOOR = 0.3
 #: differences between repeated records that say how much their means differ by
 _FEWEST_REPEATS = 4
 
@@ -52,23 +56,61 @@ def first_noise(evidence: CampaignEvidence) -> dict[Key, NoiseLaw]:
 
 
 def measured_noise(
-    evidence: CampaignEvidence, saturated: Sequence[Column], of_rate: Sequence[Column], angular_gain: float
+    evidence: CampaignEvidence,
+    saturated: Sequence[Column],
+    of_rate: Sequence[Column],
+    angular_gain: float,
+    plain: Sequence[Column] = (),
 ) -> tuple[NoiseByRole, Excess]:
     """Noise by role and channel, from what the saturated model leaves at quiet and at signal lines; and recordings that are louder.
 
-    ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show.
+    ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show. ``plain``: a model without
+    effects. The saturated model keeps near its drive gains, and its noise does not fall far below that one's: in a closed loop the drive
+    is the controller's answer to the pick-off, noise and all. With gains and effects of the read-out free against each other, as one
+    amplitude or one axis leaves them, that law explains the noise itself, and the less there is left the more it weighs.
     """
-    noise: NoiseByRole = first_noise(evidence)
-    target, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
-    solution = _solved(evidence, saturated, noise, target)
-    for k in range(_TAMED_ROUNDS + _ROUNDS):
-        noise = _from_residuals(evidence, solution, noise, quiet)
-        if k < _TAMED_ROUNDS:
-            noise = _tamed(noise, {r.role for r in evidence if r.is_wave})
-        solution = _solved(evidence, saturated, noise, target)
+    whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
+    target, floor = whole, {}
+    if plain:
+        noise, solution = _iterated(evidence, plain, whole, quiet, {})
+        floor = {key: law.floor(_FLOOR) for key, law in noise.items()}
+        saturated, target, quiet = _held(saturated, solution.by_name(), whole, quiet)
+    noise, solution = _iterated(evidence, saturated, target, quiet, floor)
     noise = _with_repeats(evidence, solution, noise, target)
     noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
-    return noise, _with_table(evidence, of_rate, noise, excess, target)
+    return noise, _with_table(evidence, of_rate, noise, excess, whole)
+
+
+def _iterated(
+    evidence: CampaignEvidence,
+    columns: Sequence[Column],
+    target: Sequence[ComplexArray],
+    quiet: Sequence[ComplexArray],
+    floor: Mapping[Key, NoiseLaw],
+) -> tuple[NoiseByRole, Solution]:
+    """Noise that a model leaves, and its fit with that noise; nowhere below a floor."""
+    solution = _solved(evidence, columns, first_noise(evidence), target)
+    noise: NoiseByRole = first_noise(evidence)
+    for k in range(_TAMED_ROUNDS + _ROUNDS):
+        noise = _from_residuals(evidence, solution, noise, quiet)
+        noise = {key: law.not_below(floor[key]) if key in floor else law for key, law in noise.items()}
+        if k < _TAMED_ROUNDS:
+            noise = _tamed(noise, {r.role for r in evidence if r.is_wave})
+        solution = _solved(evidence, columns, noise, target)
+    return noise, solution
+
+
+def _held(
+    columns: Sequence[Column], about: Mapping[str, float], target: Sequence[ComplexArray], quiet: Sequence[ComplexArray]
+) -> tuple[list[Column], list[ComplexArray], list[ComplexArray]]:
+    """Columns and targets with the drive gains known to a share, and what they explain at those values taken off."""
+    gains = {c.name: about[c.name] for c in columns if c.name.startswith("G_") and c.name in about}
+    sd = _GAIN_SHARE * max((abs(v) for v in gains.values()), default=0.0)
+    known = [c for c in columns if c.name in gains]
+    held = [replace(c, prior_sd=sd) if c.name in gains else c for c in columns]
+    target = [t - sum((gains[c.name] * c.signal[k] for c in known), np.zeros_like(t)) for k, t in enumerate(target)]
+    quiet = [t - sum((gains[c.name] * c.quiet[k] for c in known), np.zeros_like(t)) for k, t in enumerate(quiet)]
+    return held, target, quiet
 
 
 def _with_table(

@@ -67,6 +67,11 @@ class NoiseLaw:
         white, flicker, pickoff, walk = (factor * c for c in self.coefficients)
         return NoiseLaw((white, flicker, pickoff, walk), factor * self.mean)
 
+    def floor(self, share: float) -> NoiseLaw:
+        """A share of what is not slow: neither flicker nor walk, which an effect looks like."""
+        white, _, pickoff, _ = self.coefficients
+        return NoiseLaw((share * white, 0.0, share * pickoff, 0.0))
+
     def at_most(self, term: int, limit: float) -> NoiseLaw:
         """The law with one of its terms no larger than that."""
         white, flicker, pickoff, walk = (min(c, limit) if k == term else c for k, c in enumerate(self.coefficients))

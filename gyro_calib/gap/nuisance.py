@@ -6,7 +6,6 @@ only where it is larger than a healthy device has it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +23,6 @@ __all__ = [
     "slow_columns",
     "thermal_columns",
     "wander_columns",
-    "with_wander",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -144,11 +142,6 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
     return [replace(c, prior_sd=sizes.get(c.name, _GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
 
 
-def with_wander(columns: Sequence[Column], wander_rad_s: Mapping[str, float]) -> list[Column]:
-    """The same columns with another wander, by ``shift`` and ``slide``."""
-    return [replace(c, prior_sd=wander_rad_s[kind]) if (kind := c.name.split("_")[0]) in wander_rad_s else c for c in columns]
-
-
 def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float) -> list[Column]:
     """What wanders slower than a campaign, and what reaches the drives besides the command: a floor of every device."""
     times = [float(r.signals.time_s.mean()) for r in evidence]
@@ -158,8 +151,8 @@ def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float
     return ageing + stray
 
 
-def wander_columns(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
-    """Every recording's own distance of its resonance, and how it moved steadily meanwhile."""
+def wander_columns(evidence: CampaignEvidence, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
+    """Every recording's own distance of its resonance, and how it moved steadily meanwhile; of waves, and under an open drive."""
     columns = []
     for r in evidence:
         for k, name in enumerate(("shift", "slide")):
@@ -168,7 +161,7 @@ def wander_columns(evidence: CampaignEvidence, wander_rad_s: float) -> list[Colu
                     f"{name}_{r.index}",
                     tuple(r.turn * 1j * o.signal.resonance[:, k] if o is r else np.zeros(o.signal.lhs.size, complex) for o in evidence),
                     tuple(r.turn * 1j * o.quiet.resonance[:, k] if o is r else np.zeros(o.quiet.lhs.size, complex) for o in evidence),
-                    wander_rad_s,
+                    wander_rad_s if r.is_wave else open_drive_rad_s,
                 )
             )
     return columns

@@ -3,33 +3,25 @@
 A 1/f floor does not end at the length of a record: the means of records that follow one another err alike, and a campaign of some minutes
 sees it as a drift. Treated as independent from record to record it is taken for an effect of time. Half cosines ``cos(pi k t/T)`` of the
 campaign's time T with variances ``s^2/k`` are a flicker noise to that order; the size s of each family is measured by the likelihood of its
-coefficients, while everything that could be an effect is allowed for (:mod:`.noise`).
+coefficients (:mod:`.sizes`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 
 from .columns import Column, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import Linear, Part
-from .system import Solution
 
-__all__ = ["measured_drifts", "slow_drifts", "with_drifts"]
+__all__ = ["drift_family", "slow_drifts"]
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: half cosines of the campaign's time
 _COSINES = 8
 #: how large a drift may be while it is not measured: stray volts over those that hold a wave, rate and damping over the decay, gains
 _STRAY, _RATE, _GAIN, _DAMPING = 1e-3, 1e-3, 3e-3, 3e-3
-_SIZES = np.concatenate([[1e-4], np.geomspace(1e-3, 1.0, 25)])
-_ROUNDS = 4
 
 
 def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
@@ -65,57 +57,6 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     return [c for c in columns if any(np.any(v) for v in c.signal)]
 
 
-def measured_drifts(solution: Solution) -> dict[str, float]:
-    """Size of each family as a share of the largest that was allowed for: about the likeliest, with how well that is known.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of a fit that held the columns of :func:`slow_drifts` at their largest.
-    """
-    places = [k for k, c in enumerate(solution.columns) if c.name.startswith("drift.")]
-    if not places:
-        return {}
-    columns = [solution.columns[k] for k in places]
-    prior = np.array([c.prior_sd for c in columns])
-    # in units of the prior: what the data alone say is the posterior less the prior
-    covariance = solution.covariance[np.ix_(places, places)] / np.outer(prior, prior)
-    posterior = np.linalg.inv(covariance + 1e-12 * np.eye(prior.size))
-    told = posterior @ (solution.values[places] / prior)
-    w, v = np.linalg.eigh(posterior - np.eye(prior.size))
-    data = (v * np.maximum(w, 0.0)) @ v.T
-    families = [_family(c) for c in columns]
-    sizes = dict.fromkeys(families, 0.03)
-    for _ in range(_ROUNDS):
-        for family in sizes:
-            sizes[family] = float(_SIZES[int(np.argmax(_scores(data, told, families, sizes, family)))])
-    return {family: _expected(_scores(data, told, families, sizes, family)) for family in sizes}
-
-
-def _scores(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float], family: str) -> FloatArray:
-    return np.array([_likelihood(data, told, families, {**sizes, family: float(s)}) for s in _SIZES])
-
-
-def _expected(scores: FloatArray) -> float:
-    """Root of the expected square: a size that may well be larger than the likeliest would pass for an effect of time."""
-    weight = np.exp(scores - scores.max())
-    return float(np.sqrt(weight @ _SIZES**2 / weight.sum()))
-
-
-def with_drifts(columns: Sequence[Column], shares: Mapping[str, float]) -> list[Column]:
-    """Drifts of measured size."""
-    return [replace(c, prior_sd=c.prior_sd * shares[_family(c)]) for c in columns]
-
-
-def _likelihood(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float]) -> float:
-    """Log likelihood of the coefficients, marginalised: prior variances s^2, precision and information of the data."""
-    sd = np.array([sizes[f] for f in families])
-    inner = np.eye(sd.size) + sd[:, None] * data * sd[None, :]
-    factor = cho_factor(inner, lower=True)
-    scaled = sd * told
-    return 0.5 * float(scaled @ cho_solve(factor, scaled)) - float(np.sum(np.log(np.diag(factor[0]))))
-
-
-def _family(c: Column) -> str:
-    """Both axes of a kind drift alike."""
-    return c.name.split(".")[1]
+def drift_family(c: Column) -> str:
+    """Family of a drift, or "" of what is none: both axes of a kind drift alike."""
+    return c.name.split(".")[1] if c.name.startswith("drift.") else ""

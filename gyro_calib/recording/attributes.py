@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError
-from .command import EXCITATIONS, MODES, Command, Excitation, Setpoints
+from .command import MODES, Command, Excitation, Setpoints, excitation_kind
 
 __all__ = ["command_from_attributes", "decode_attribute", "plain_value", "to_attributes"]
 
@@ -77,7 +77,7 @@ def command_from_attributes(attributes: Mapping[str, Any], measured_amplitude_v:
         return Command.from_parameters(own)
     amplitude = _first(attributes, ("amplitude_set_V", "amplitude_set_v", "amplitude_v", "amplitude_V"))
     stiffness, ring = attributes.get("stiffness_control"), attributes.get("amplitude_control")
-    mode = "stiffness" if stiffness else "ring_down" if ring else _mode(attributes)
+    mode = "stiffness" if stiffness else _ring_mode(attributes, ring) if ring else _mode(attributes)
     if mode == "loops_off" and amplitude is not None and _number(amplitude, "amplitude_set_V") == 0.0:
         # no loop holds an amplitude then
         amplitude = None
@@ -87,9 +87,25 @@ def command_from_attributes(attributes: Mapping[str, Any], measured_amplitude_v:
         amplitude_v=_number(amplitude, "amplitude_set_V"),
         virtual_precession_v=_number(_first(attributes, ("virtual_precession_V", "virtual_precession_v")) or 0.0, "virtual_precession_V"),
         stiffness_v_per_v=_steady_stiffness(stiffness),
-        amplitude_gain_v_per_v=_number(ring.get("gain_down", 0.0), "gain_down") if isinstance(ring, Mapping) else 0.0,
+        amplitude_gain_v_per_v=_ring_gain(ring),
     )
     return Command(mode, _excitation(attributes), setpoints, _compensation(attributes.get("compensation")))
+
+
+def _ring_mode(attributes: Mapping[str, Any], ring: Any) -> str:
+    """The mode as it was stated, if it was one of these; otherwise by the sign of the gain."""
+    stated = _mode(attributes) if attributes.get("mode") else ""
+    if stated in ("ring_down", "ring_up"):
+        return stated
+    return "ring_up" if _ring_gain(ring) > 0.0 else "ring_down"
+
+
+def _ring_gain(ring: Any) -> float:
+    """Drive in phase with velocity per volt of amplitude, negative down; a record of both begins with the way down."""
+    for name in ("gain_down", "gain_up"):
+        if isinstance(ring, Mapping) and name in ring:
+            return _number(ring[name], name)
+    return 0.0
 
 
 def to_attributes(command: Command) -> dict[str, Any]:
@@ -158,7 +174,7 @@ def _excitation(attributes: Mapping[str, Any]) -> Excitation:
     if not words or str(words).strip().lower() == "none":
         return Excitation()
     words = _mapping(words, "excitation")
-    return _excitation_from(words, _excitation_kind(words.get("kind", "none")), str(words.get("axis", "x")).lower())
+    return _excitation_from(words, excitation_kind(words.get("kind", "none")), str(words.get("axis", "x")).lower())
 
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:
@@ -175,17 +191,6 @@ def _excitation_from(words: Mapping[str, Any], kind: str, axis: str) -> Excitati
         volts=_number(_first(words, ("volts", "volts_v", "volts_V", "amplitude_V")) or 0.0, "volts of the excitation"),
         axis=axis,
     )
-
-
-def _excitation_kind(stated: Any) -> str:
-    words = str(stated).lower().replace("-", " ").replace("_", " ")
-    exact = words.replace(" ", "_")
-    if exact in EXCITATIONS:
-        return exact
-    for kind in ("secondary", "frequency", "amplitude"):
-        if kind in words and "modulat" in words:
-            return f"{kind}_modulation"
-    raise DataError(f"Excitation kind must be one of {', '.join(EXCITATIONS)}, but got {stated!r}. State what was modulated.")
 
 
 def _compensation(value: Any) -> tuple[float, float, float, float]:

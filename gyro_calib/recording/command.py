@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import DataError
 
-__all__ = ["EXCITATIONS", "MODES", "Command", "Excitation", "Setpoints"]
+__all__ = ["EXCITATIONS", "MODES", "Command", "Excitation", "Setpoints", "excitation_kind"]
 
 #: operating modes
 MODES = ("ftr_x", "ftr_y", "whole_angle", "ring_down", "ring_up", "stiffness", "loops_off")
@@ -18,6 +18,27 @@ MODES = ("ftr_x", "ftr_y", "whole_angle", "ring_down", "ring_up", "stiffness", "
 #: ``secondary_modulation``: the closed axis is driven to amplitude * index * sin 2 pi f t; ``drive`` (loops_off): open drive of ``axis``
 #: at absolute f with ``volts``; ``body`` (loops_off): the body is shaken at absolute f, equal force on both axes.
 EXCITATIONS = ("none", "amplitude_modulation", "frequency_modulation", "secondary_modulation", "drive", "body")
+
+
+def excitation_kind(stated: object) -> str:
+    """One of :data:`EXCITATIONS`, however it was worded: "amplitude modulation", "open drive", "shaker", "off".
+
+    Raises
+    ------
+    DataError
+        Words that leave open what was excited.
+    """
+    words = str(stated).lower().replace("-", " ").replace("_", " ").strip()
+    exact = words.replace(" ", "_")
+    if exact in EXCITATIONS:
+        return exact
+    for kind in ("secondary", "frequency", "amplitude"):
+        if kind in words and "modulat" in words:
+            return f"{kind}_modulation"
+    for kind, known in (("none", ("", "off", "no")), ("drive", ("open drive",)), ("body", ("body excitation", "shaker"))):
+        if words in known:
+            return kind
+    raise DataError(f"Excitation kind must be one of {', '.join(EXCITATIONS)}, but got {stated!r}. State what was modulated.")
 
 
 @dataclass(frozen=True)
@@ -147,6 +168,11 @@ class Command:
         """
         excitation = {k.split(".", 1)[1]: v for k, v in flat.items() if k.startswith("excitation.")}
         setpoints = {k.split(".", 1)[1]: v for k, v in flat.items() if k.startswith("setpoint.")}
+        if "kind" in excitation:
+            excitation["kind"] = excitation_kind(excitation["kind"])
+        if flat.get("mode") == "loops_off" and setpoints.get("amplitude_v") == 0.0:
+            # no loop holds an amplitude then, and some drivers say so
+            del setpoints["amplitude_v"]
         try:
             return cls(
                 mode=str(flat.get("mode", "ftr_x")),

@@ -17,8 +17,10 @@ from .effect_layout import (
     E_HUM_X,
     E_HUM_Y,
     E_MODE_HALF,
-    E_MODE_X,
-    E_MODE_Y,
+    E_MODE_XX,
+    E_MODE_XY,
+    E_MODE_YX,
+    E_MODE_YY,
     E_PERIOD,
     E_PUMP_C,
     E_PUMP_S,
@@ -123,7 +125,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
     tone = effect[E_TONE_OMEGA] * (memory[M_TIME] + 0.5 * dt) + effect[E_TONE_PHASE]
     tone_c, tone_s = math.cos(tone), math.sin(tone)
     step_c, step_s = math.cos(effect[E_TONE_OMEGA] * dt), math.sin(effect[E_TONE_OMEGA] * dt)
-    mode = complex(memory[M_MODE], memory[M_MODE + 1])
+    mode1, mode2 = complex(memory[M_MODE], memory[M_MODE + 1]), complex(memory[M_MODE + 2], memory[M_MODE + 3])
     mode_rate = complex(-effect[E_MODE_HALF], row[R_MODE_OMEGA])
     mode_turn = complex(math.cos(row[R_MODE_OMEGA] * dt), math.sin(row[R_MODE_OMEGA] * dt)) * math.exp(-effect[E_MODE_HALF] * dt)
     mode_push = 2.0 / effect[E_HOLD] * (mode_turn - 1.0) / mode_rate
@@ -134,28 +136,24 @@ def effect_samples(  # type: ignore[no-untyped-def]
     g20, g21, g30, g31 = gamma[2, 0], gamma[2, 1], gamma[3, 0], gamma[3, 1]
     b0, b1, b2, b3, b4, b5, b6, b7 = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]
     p0, p1, p2, p3, p4, p5, p6, p7 = pk[0], pk[1], pk[2], pk[3], pk[4], pk[5], pk[6], pk[7]
-    mode_x, mode_y, read_x, read_y, read_cross = (
-        effect[E_MODE_X],
-        effect[E_MODE_Y],
-        effect[E_READ_X],
-        effect[E_READ_Y],
-        effect[E_READ_CROSS],
-    )
+    mode_xx, mode_xy, mode_yx, mode_yy = effect[E_MODE_XX], effect[E_MODE_XY], effect[E_MODE_YX], effect[E_MODE_YY]
+    read_x, read_y, read_cross = effect[E_READ_X], effect[E_READ_Y], effect[E_READ_CROSS]
     pump_c, pump_s, tone_x, tone_y = effect[E_PUMP_C], effect[E_PUMP_S], effect[E_TONE_X], effect[E_TONE_Y]
     full, lsb, cubic_x, cubic_y = converters[0], converters[1], converters[4], converters[7]
     per_gap_x, per_gap_y = converters[5], converters[6]
     bent, dragged, curved = bends_drive(effect), opposes_motion(effect), nonlinear.any()
-    mode_on, turned = mode_x != 0.0 or mode_y != 0.0, read_x != 0.0 or read_y != 0.0
+    mode_on = mode_xx != 0.0 or mode_xy != 0.0 or mode_yx != 0.0 or mode_yy != 0.0
+    turned = read_x != 0.0 or read_y != 0.0
     kick_dt = dt / w
     for j in range(volts.shape[0]):
         readx, ready = (p0 * x + p1 * vx) + (p2 * y + p3 * vy), (p4 * x + p5 * vx) + (p6 * y + p7 * vy)
         readx /= 1.0 - readx * per_gap_x
         ready /= 1.0 - ready * per_gap_y
-        readx += mode_x * mode.real + exr * c - exi * s + pick_noise * noise[n + 2]
-        ready += mode_y * mode.real + eyr * c - eyi * s + pick_noise * noise[n + 3]
+        readx += mode_xx * mode1.real + mode_xy * mode2.real + exr * c - exi * s + pick_noise * noise[n + 2]
+        ready += mode_yx * mode1.real + mode_yy * mode2.real + eyr * c - eyi * s + pick_noise * noise[n + 3]
         if turned:  # by what the pick-offs were a quarter of a cycle ago
-            latex = (p1 * x - p0 * vx) + (p3 * y - p2 * vy) + mode_x * mode.imag + exr * s + exi * c
-            latey = (p5 * x - p4 * vx) + (p7 * y - p6 * vy) + mode_y * mode.imag + eyr * s + eyi * c
+            latex = (p1 * x - p0 * vx) + (p3 * y - p2 * vy) + mode_xx * mode1.imag + mode_xy * mode2.imag + exr * s + exi * c
+            latey = (p5 * x - p4 * vx) + (p7 * y - p6 * vy) + mode_yx * mode1.imag + mode_yy * mode2.imag + eyr * s + eyi * c
             readx -= read_x * (readx * readx + latex * latex) * latex
             ready -= read_y * (ready * ready + latey * latey) * latey
         cubex, cubey = readx * readx * readx, ready * ready * ready
@@ -165,7 +163,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
         volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3] = 2.0 * readx * c, -2.0 * readx * s, 2.0 * ready * c, -2.0 * ready * s
         forcex, forcey = wxr * c - wxi * s, wyr * c - wyi * s
         if mode_on:
-            mode *= mode_turn
+            mode1, mode2 = mode1 * mode_turn, mode2 * mode_turn
         if j >= settling:
             nowx, nowy = axr * c - axi * s, ayr * c - ayi * s
             agox, agoy = axr * s + axi * c, ayr * s + ayi * c
@@ -175,7 +173,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
             forcex += factor * ((b0 * nowx - b1 * agox) + (b2 * nowy - b3 * agoy))
             forcey += factor * ((b4 * nowx - b5 * agox) + (b6 * nowy - b7 * agoy))
             if mode_on:
-                mode += mode_push * (nowx + nowy)
+                mode1, mode2 = mode1 + mode_push * nowx, mode2 + mode_push * nowy
         forcex += (b0 * tone_x + b2 * tone_y) * tone_c - (b1 * tone_x + b3 * tone_y) * tone_s
         forcey += (b4 * tone_x + b6 * tone_y) * tone_c - (b5 * tone_x + b7 * tone_y) * tone_s
         pump = pump_c * (c * c - s * s) + pump_s * 2.0 * s * c
@@ -196,5 +194,5 @@ def effect_samples(  # type: ignore[no-untyped-def]
         tone_c, tone_s = tone_c * step_c - tone_s * step_s, tone_s * step_c + tone_c * step_s
         n += 4
     z[0], z[1], z[2], z[3] = x, y, vx, vy
-    memory[M_MODE], memory[M_MODE + 1] = mode.real, mode.imag
+    memory[M_MODE], memory[M_MODE + 1], memory[M_MODE + 2], memory[M_MODE + 3] = mode1.real, mode1.imag, mode2.real, mode2.imag
     memory[M_TIME] += effect[E_PERIOD]

@@ -12,19 +12,21 @@ E_VELOCITY, E_VELOCITY_X, E_VELOCITY_Y, E_DRAG, E_FRICTION, E_PUMP_C, E_PUMP_S, 
 E_CONSTANT, E_SAG, E_PHASE_X, E_PHASE_Y, E_LAG_KEEP, E_LAG_MEAN, E_SLOW, E_SLOW_KEEP, E_SLOW_MEAN = 9, 13, 14, 15, 16, 17, 18, 19, 20
 # drive per sample: cubic of x, y, across [1/V^2], clip, dead zone, step [V]
 E_CUBIC_X, E_CUBIC_Y, E_CROSS, E_CLIP, E_DEAD, E_STEP = 21, 22, 23, 24, 25, 26
-# spurious mode: half-width [rad/s], gains [1/s]; tone: angular frequency [rad/s], x, y [V], phase [rad]
-E_MODE_HALF, E_MODE_X, E_MODE_Y, E_TONE_OMEGA, E_TONE_X, E_TONE_Y, E_TONE_PHASE = 27, 28, 29, 30, 31, 32, 33
+# spurious modes: half-width [rad/s]; tone: angular frequency [rad/s], x, y [V], phase [rad]
+E_MODE_HALF, E_TONE_OMEGA, E_TONE_X, E_TONE_Y, E_TONE_PHASE = 27, 28, 29, 30, 31
 # pick-off: interference x_c, x_s, y_c, y_s [V], phase of x and y [rad/V^2], cubic across [1/V^2], hum: angular frequency [rad/s], x, y [V]
-E_STRAY, E_READ_X, E_READ_Y, E_READ_CROSS, E_HUM_OMEGA, E_HUM_X, E_HUM_Y = 34, 38, 39, 40, 41, 42, 43
+E_STRAY, E_READ_X, E_READ_Y, E_READ_CROSS, E_HUM_OMEGA, E_HUM_X, E_HUM_Y = 32, 36, 37, 38, 39, 40, 41
 # pick-off after the demodulator: decay of the lag, memory: share and decay per control period, decay and lead of the skew; gain noise per
 # control period; control period [s]; factor by which a zero-order hold lowers what it holds
-E_OUT_KEEP, E_OUT_SLOW, E_OUT_SLOW_KEEP, E_SKEW_KEEP, E_SKEW_LEAD, E_GAIN, E_PERIOD, E_HOLD = 44, 45, 46, 47, 48, 49, 50, 51
-N_EFFECT = 52
+E_OUT_KEEP, E_OUT_SLOW, E_OUT_SLOW_KEEP, E_SKEW_KEEP, E_SKEW_LEAD, E_GAIN, E_PERIOD, E_HOLD = 42, 43, 44, 45, 46, 47, 48, 49
+# gains of the spurious modes: of the x drive in the x pick-off, of y in x, of x in y, of y in y [1/s]
+E_MODE_XX, E_MODE_XY, E_MODE_YX, E_MODE_YY = 50, 51, 52, 53
+N_EFFECT = 54
 
-# memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious mode re, im [V s];
-# lagged and slow pick-off, last and lagged y pick-off c, s [V]
-M_TIME, M_LAG, M_SLOW, M_MOTION, M_MODE, M_OUT_LAG, M_OUT_SLOW, M_LAST, M_SKEW = 0, 1, 5, 9, 13, 15, 19, 23, 25
-N_MEMORY = 27
+# memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
+# the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]
+M_TIME, M_LAG, M_SLOW, M_MOTION, M_MODE, M_OUT_LAG, M_OUT_SLOW, M_LAST, M_SKEW = 0, 1, 5, 9, 13, 17, 21, 25, 27
+N_MEMORY = 29
 
 # per row: feedthrough added to x and to y, angular frequency of the spurious mode [rad/s]
 R_FEED_X, R_FEED_Y, R_MODE_OMEGA = 0, 1, 2

@@ -154,7 +154,7 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     effect[at.E_RELAX_KEEP] = math.exp(-effect[at.E_PERIOD] / size("relaxation", "tau", 1.0))
     effect[at.E_CONSTANT : at.E_CONSTANT + 4] = [size("constant_force", name) for name in ("f_xc", "f_xs", "f_yc", "f_ys")]
     effect[at.E_MODE_HALF] = 2.0 * math.pi * size("spurious_mode", "half_width_hz")
-    effect[at.E_MODE_X], effect[at.E_MODE_Y] = size("spurious_mode", "gain_x"), size("spurious_mode", "gain_y")
+    effect[at.E_MODE_XX : at.E_MODE_YY + 1] = [size("spurious_mode", f"gain_{place}") for place in ("xx", "xy", "yx", "yy")]
     effect[at.E_TONE_OMEGA] = 2.0 * math.pi * size("external_tone", "frequency_hz")
     effect[at.E_TONE_X], effect[at.E_TONE_Y] = size("external_tone", "a_x"), size("external_tone", "a_y")
     effect[at.E_TONE_PHASE] = size("external_tone", "phase_rad")

@@ -48,7 +48,7 @@ class SteadyEffects:
         if mode is not None:
             above = 2.0 * math.pi * (self._device.resonator.frequency_at(self._device.environment.temperature_degc) + mode["separation_hz"])
             response = 1.0 / complex(2.0 * math.pi * mode["half_width_hz"], omega_rad_s - above)
-            E = E + response * np.outer([mode["gain_x"], mode["gain_y"]], [1.0, 1.0])
+            E = E + response * np.array([[mode["gain_xx"], mode["gain_xy"]], [mode["gain_yx"], mode["gain_yy"]]])
         return replace(flow, A=A[0], G=G[0], E=np.asarray(E, dtype=np.complex128))
 
     def drive_excess(self, drive: ComplexArray) -> ComplexArray:

@@ -1,0 +1,112 @@
+"""The saturated model: every effect of the registry at once, too rich to name anything; what it cannot follow is noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..effects import EFFECTS
+from .columns import Column
+from .evidence import CampaignEvidence
+from .forms import FORMS
+from .parts import Linear
+from .screen import Candidate
+
+__all__ = ["columns_of_time", "effect_columns", "open_drive", "saturated_columns"]
+
+#: of the settings of a gridded effect, how many are held
+_SETTINGS = 4
+#: columns over equations, at most
+_SATURATION = 0.5
+#: how much of a drive or of a reading a limiter or a dead zone may take, sd
+_TAKEN = 0.03
+#: of a drive and of a pick-off: opposite to each other they are one filter of both
+_TWIN = {"pickoff_memory": "drive_memory", "pickoff_lag": "drive_lag"}
+#: effects with a memory, or that feed through
+_FAST = (
+    "drive_lag",
+    "drive_memory",
+    "pickoff_lag",
+    "pickoff_memory",
+    "channel_skew",
+    "relaxation",
+    "spurious_mode",
+    "thermal_feedthrough",
+    "parametric_pump",
+)
+
+
+def effect_columns(candidates: Sequence[Candidate]) -> list[Column]:
+    """Columns of effects, named ``effect.parameter``, with the prior of their size."""
+    return [
+        Column(f"{c.name}.{column.name}", column.signal, column.quiet, float(sd))
+        for c in candidates
+        for column, sd in zip(c.columns, c.prior_sd, strict=True)
+    ]
+
+
+def columns_of_time(candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
+    """Effects that need but time to show: what drifts slowly is like them."""
+    return effect_columns([c for name, tried in candidates.items() if set(EFFECTS[name].needs) == {"time"} for c in _some(tried)])
+
+
+def open_drive(evidence: CampaignEvidence) -> bool:
+    """Whether open drive of both axes tells the feedthrough; otherwise what changes fast is told from the loops' noise by nothing."""
+    return {e.axis for r in evidence if (e := r.recording.command.excitation).kind == "drive"} == {"x", "y"}
+
+
+def saturated_columns(
+    evidence: CampaignEvidence,
+    linear: Linear,
+    nuisances: Sequence[Column],
+    candidates: Mapping[str, Sequence[Candidate]],
+    turned: Sequence[Candidate],
+) -> list[Column]:
+    """Every effect at once, each of a size that it may have, and unnamed terms of rate.
+
+    Drive and pick-off that pass through one filter obey the linear flow as before: a memory of the one against the same of the other holds
+    no signal, but all of the noise, so of such twins one is enough. Where no open drive of both axes told the feedthrough, without the lag
+    of a record and what has a memory: in a closed loop the drive's noise follows from the pick-off's, and a lag that is free would explain
+    the noise away. A feedthrough keeps to its prior.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    linear : Linear
+    nuisances : sequence of Column
+    candidates : mapping
+        Effects by name.
+    turned : sequence of Candidate
+        Unnamed terms of rate.
+    """
+    told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
+    chosen = [_not_gross(evidence, linear, c) for tried in told.values() for c in _some(tried)]
+    if not open_drive(evidence):
+        nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
+        chosen = [c for c in chosen if c.name not in _FAST]
+    held = [c for c in effect_columns([*chosen, *turned]) if any(np.any(v) for v in c.signal)]
+    # few recordings have no equations for all of that: it would explain their noise
+    few = len(nuisances) + len(held) > _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
+    return list(nuisances) if few else [*nuisances, *held]
+
+
+def _some(tried: Sequence[Candidate]) -> Sequence[Candidate]:
+    """Of an effect's settings as many as are held."""
+    return tried[:: max(1, len(tried) // _SETTINGS)]
+
+
+def _not_gross(evidence: CampaignEvidence, linear: Linear, candidate: Candidate) -> Candidate:
+    """A limiter or a dead zone that takes but a share of what passes it.
+
+    One that could swallow the whole of a drive or of a reading would open the loop: what is left of the equation has no noise.
+    """
+    if "level" not in candidate.setting:
+        return candidate
+    taken = 0.0
+    for r in evidence:
+        for part in FORMS[candidate.name].parts(r.signals, linear, candidate.setting):
+            whole = np.linalg.norm(r.signals.drive if part.kind == "drive" else r.signals.pick, axis=0)
+            taken = max(taken, float(np.max(np.linalg.norm(part.signal, axis=0) / np.where(whole > 0.0, whole, np.inf))))
+    return replace(candidate, prior_sd=np.minimum(candidate.prior_sd, _TAKEN / max(taken, 1e-12)))

@@ -1,0 +1,82 @@
+"""How large random nuisances are, family by family: by the likelihood of their coefficients in a fit that allowed for more.
+
+A family is what is alike by nature: the distances of the resonance in all records, the slow cosines of both drives' gains. Its coefficients
+are independent with a common share of their priors; what the data say of them is the fit's posterior less those priors, and the share is
+what makes them likeliest. A mean of squares would not do: coefficients that are told badly would count as large.
+
+A fit that held every effect at once tells the coefficients badly; one that held those of time only tells them well, but what it lacks may
+pass for them. Either errs upwards only: of two such measurements the smaller is the better one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from .columns import Column
+from .system import Solution
+
+__all__ = ["Family", "measured_shares", "with_shares"]
+
+FloatArray = NDArray[np.float64]
+#: family of a column; "" for none
+Family = Callable[[Column], str]
+_SIZES = np.concatenate([[1e-4], np.geomspace(1e-3, 1.0, 25)])
+_ROUNDS = 4
+
+
+def measured_shares(solution: Solution, family: Family) -> dict[str, float]:
+    """Size of each family as a share of its columns' priors, at most one: about the likeliest, with how well that is known.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a fit that held the families' columns at their largest.
+    family : callable
+        Family of a column, or "".
+    """
+    places = [k for k, c in enumerate(solution.columns) if family(c)]
+    if not places:
+        return {}
+    columns = [solution.columns[k] for k in places]
+    prior = np.array([c.prior_sd for c in columns])
+    # in units of the prior: what the data alone say is the posterior less the prior
+    covariance = solution.covariance[np.ix_(places, places)] / np.outer(prior, prior)
+    posterior = np.linalg.inv(covariance + 1e-12 * np.eye(prior.size))
+    told = posterior @ (solution.values[places] / prior)
+    w, v = np.linalg.eigh(posterior - np.eye(prior.size))
+    data = (v * np.maximum(w, 0.0)) @ v.T
+    families = [family(c) for c in columns]
+    sizes = dict.fromkeys(families, 0.03)
+    for _ in range(_ROUNDS):
+        for name in sizes:
+            sizes[name] = float(_SIZES[int(np.argmax(_scores(data, told, families, sizes, name)))])
+    return {name: _expected(_scores(data, told, families, sizes, name)) for name in sizes}
+
+
+def with_shares(columns: Sequence[Column], family: Family, shares: Mapping[str, float]) -> list[Column]:
+    """The same columns, those of a family at its measured size."""
+    return [replace(c, prior_sd=c.prior_sd * shares[name]) if (name := family(c)) in shares else c for c in columns]
+
+
+def _scores(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float], family: str) -> FloatArray:
+    return np.array([_likelihood(data, told, families, {**sizes, family: float(s)}) for s in _SIZES])
+
+
+def _expected(scores: FloatArray) -> float:
+    """Root of the expected square: a size that may well be larger than the likeliest would pass for an effect."""
+    weight = np.exp(scores - scores.max())
+    return float(np.sqrt(weight @ _SIZES**2 / weight.sum()))
+
+
+def _likelihood(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float]) -> float:
+    """Log likelihood of the coefficients, marginalised: prior variances s^2, precision and information of the data."""
+    sd = np.array([sizes[f] for f in families])
+    inner = np.eye(sd.size) + sd[:, None] * data * sd[None, :]
+    factor = cho_factor(inner, lower=True)
+    scaled = sd * told
+    return 0.5 * float(scaled @ cho_solve(factor, scaled)) - float(np.sum(np.log(np.diag(factor[0]))))
