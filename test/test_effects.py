@@ -57,6 +57,10 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "constant_force": ({"f_xc": 0.01, "f_xs": 0.02, "f_yc": 0.03, "f_ys": -0.04}, lambda r: r.force(_constant(r))),
     "drive_nonlinearity": ({"d_x": 0.02, "d_y": 0.05}, lambda r: r.force(by_axis(r, "d_x", "d_y") * cubes(r.u))),
     "drive_amplitude_phase": ({"d_x": 2e-3, "d_y": 5e-3}, lambda r: r.force(1j * by_axis(r, "d_x", "d_y") * cubes(r.u))),
+    "drive_stiffness": (
+        {"k_x": 0.05, "k_y": -0.03},
+        lambda r: 1j * by_axis(r, "k_x", "k_y") * (2.0 * np.abs(r.u) ** 2 * r.p + r.u**2 * r.p.conj()),
+    ),
     "drive_sag": ({"d": 0.02}, lambda r: r.force(r.size["d"] * (np.abs(r.u) ** 2).sum(axis=1, keepdims=True) * r.u)),
     "drive_cross_nonlinearity": ({"d": 0.02}, lambda r: r.force(r.size["d"] * cubes(r.u)[:, ::-1])),
     "pickoff_nonlinearity": ({"c_x": 2e-3, "c_y": -3e-3}, lambda r: r.reading(by_axis(r, "c_x", "c_y") * cubes(r.volts))),
@@ -85,7 +89,7 @@ def test_without_effects_nothing_is_left_over(plain: Device) -> None:
 
 
 @compiled_only
-@pytest.mark.parametrize("name", sorted(set(STATIC) - {"drive_amplitude_phase"}))
+@pytest.mark.parametrize("name", sorted(set(STATIC) - {"drive_amplitude_phase", "drive_stiffness"}))
 def test_slow_flow_has_the_same_effect(plain: Device, name: str) -> None:
     sizes, form = STATIC[name]
     rows, before = measured(plain, {name: sizes}, fidelity="slow_flow"), measured(plain, {}, fidelity="slow_flow")
@@ -145,7 +149,7 @@ def test_spurious_mode_answers_its_drive_as_a_resonance(plain: Device, part: str
     sizes = {"separation_hz": 8.0, "half_width_hz": 5.0, **dict.fromkeys(("gain_xx", "gain_xy", "gain_yx", "gain_yy"), 0.0), part: 0.5}
     rows = measured(plain, {"spurious_mode": sizes})
     above = plain.resonator.frequency_hz + sizes["separation_hz"] - DRIVE_HZ
-    q = rows.u / (2.0 * math.pi * (sizes["half_width_hz"] - 1j * above))
+    q = -1j * rows.u / (2.0 * math.pi * (sizes["half_width_hz"] - 1j * above))
     gains = np.array([[sizes["gain_xx"], sizes["gain_xy"]], [sizes["gain_yx"], sizes["gain_yy"]]])
     assert_form(rows, rows.reading(q @ gains.T), 0.01)
 

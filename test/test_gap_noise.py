@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyro_calib.gap import diagnose
+from gyro_calib.gap.columns import Column
+from gyro_calib.gap.linear_device import quiet_target_of, target_of
 from gyro_calib.gap.model import CampaignModel, look_at
-from gyro_calib.gap.noise import _tamed
-from gyro_calib.gap.noise_law import PICKOFF, NoiseLaw
+from gyro_calib.gap.noise import _tamed, measured_noise
+from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns
 from gyro_calib.trial.plans import campaign_plan
@@ -82,3 +84,52 @@ def test_a_small_device_s_effect_has_its_name() -> None:
     for name, size in sizes["duffing_axes"].items():
         value = found.effects[0].parameters[name]
         assert abs(value.value - size) < 4.0 * value.sd
+
+
+def test_noise_is_not_explained_away() -> None:
+    """Columns that hold the noise itself, as a loop's own law does: what is believed stays near what a model without effects leaves."""
+    model = looked_at()
+    e, gain = model.evidence, model.linear.angular_gain
+    plain = list(model.nuisances)
+    base = model.base.values
+    target = [t - np.stack([c.signal[k] for c in plain], axis=1) @ base for k, t in enumerate(target_of(e, gain))]
+    quiet = [t - np.stack([c.quiet[k] for c in plain], axis=1) @ base for k, t in enumerate(quiet_target_of(e, gain))]
+    spies = [
+        Column(f"spy_{k}", tuple(t * (j == k) for j, t in enumerate(target)), tuple(t * (j == k) for j, t in enumerate(quiet)), 10.0)
+        for k, r in enumerate(e)
+        if r.role in ("ftr_x", "ftr_y")
+    ]
+    told, _ = measured_noise(e, [*plain, *spies], plain, gain, plain)
+    honest, _ = measured_noise(e, plain, plain, gain)
+    fooled, _ = measured_noise(e, [*plain, *spies], plain, gain)
+    for channel in ("precession", "quadrature"):
+        levels = [noise["ftr_x", channel].coefficients[WHITE] for noise in (fooled, told, honest)]
+        assert levels[0] < 1e-3 * levels[2]
+        assert levels[1] > 0.2 * levels[2]
+
+
+def test_a_limiter_that_could_swallow_a_drive_may_take_but_a_share_of_it() -> None:
+    """The rebalance of a still gyro is smaller than many a dead zone on the grid: with all of it gone the loop would be open."""
+    model = looked_at()
+    tried = {name: model.candidates[name] for name in ("drive_dead_zone", "drive_saturation")}
+    priors = {c.name: c.prior_sd for c in saturated_columns(model.evidence, model.linear, [], tried, [])}
+    assert 0.0 < priors["drive_dead_zone.share"] < 0.05
+    assert all(sd <= 1.0 for sd in priors.values())
+
+
+def test_what_has_no_name_is_no_noise() -> None:
+    """A stiffness that follows the drives, not in the registry: its record's noise is believed to be what it is without the effect."""
+    kind, sizes = "hemisphere", {"drive_stiffness": {"k_x": 5e-5, "k_y": 4e-5}}
+    found = []
+    for effects in ({}, sizes):
+        unit, rng = draw_trial_unit(kind, 79, 1), np.random.default_rng(1)
+        campaign = record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "quick"), effects, rng)
+        f = campaign.factory
+        decay = math.pi * f["nominal_f0_hz"] / f["nominal_q"]
+        found.append(look_at(usable(campaign), decay, f["angular_gain_kappa"], without=("drive_stiffness",)))
+    quiet, strange = found
+    assert strange.screener.chi2 > quiet.screener.chi2 + 200.0
+    for channel in ("amplitude", "precession", "quadrature"):
+        lines = next(r.lines(channel) for r in quiet.evidence if r.role == "precession")
+        before, after = (m.noise["precession", channel].density(lines).mean() for m in found)
+        assert after < 3.0 * before

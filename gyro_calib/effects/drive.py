@@ -23,6 +23,13 @@ DRIVE = (
         ("duffing", "drive_nonlinearity"),
     ),
     Effect(
+        "drive_stiffness", "Stiffness that follows the square of the drive voltage", "drive", (35, 36),
+        pair("k_x k_y", "rad/s/V^2", 0.01, 10.0, "frequency per amplitude squared of the axis' own drive in quadrature (in phase thrice)"),
+        ("large drive", "amplitudes"), BOTH,
+        "p_j' += i k_j (2 |u_j|^2 p_j + u_j^2 p_j*); per sample a stiffness proportional to v_j^2",
+        ("duffing", "parametric_pump", "drive_amplitude_phase"),
+    ),
+    Effect(
         "drive_saturation", "Drive amplifier clips", "drive", (25,),
         (positive("level", "V", 0.5, 100.0, "largest carrier voltage of either axis", lower=1e-4),),
         ("large drive",), BOTH,

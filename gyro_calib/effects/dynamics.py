@@ -65,7 +65,7 @@ DYNAMICS = (
             *(signed(f"gain_{a}{b}", "1/s", 0.05, 50.0, f"what it adds to the {a} pick-off of the {b} drive") for a in "xy" for b in "xy"),
         ),
         ("side bands", "open drive"), BOTH,
-        "V_j += sum_k gain_jk q_k, q_k' = (2 pi i separation - i dw - 2 pi half_width) q_k + u_k, dw: reference above the mean frequency",
+        "V_j -= i sum_k gain_jk q_k, q_k' = (2 pi i separation - i dw - 2 pi half_width) q_k + u_k, dw: reference above the mean frequency",
         ("pickoff_memory", "drive_memory", "drive_lag"),
     ),
     Effect(

@@ -158,7 +158,8 @@ def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         # in the frame that the resonance turns with, where the pole stands still
         turn = np.exp(1j * np.cumsum(behind) * s.row_s)[:, None]
         answers = _driven(s.drive * turn, pole, s.row_s) / turn
-    of_drive = {b: np.stack([answers[:, k]] * 2, axis=1) for k, b in enumerate("xy")}
+    # a displacement is a quarter of a cycle behind a force that meets its resonance
+    of_drive = {b: -1j * np.stack([answers[:, k]] * 2, axis=1) for k, b in enumerate("xy")}
     return [Part(f"gain_{a}{b}", "output", _only(answer, k)) for k, a in enumerate("xy") for b, answer in of_drive.items()]
 
 
@@ -257,6 +258,12 @@ def _driven_cube(letter: str, factor: complex) -> Form:
     return Form(lambda s, d, g: _by_axis("drive", letter, factor * cube(s.drive)))
 
 
+def _softened(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier."""
+    p = _motion(s, d)
+    return _by_axis("flow", "k", 1j * (2.0 * np.abs(s.drive) ** 2 * p + s.drive**2 * p.conj()))
+
+
 def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray]) -> Form:
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: _only(f(s, v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
@@ -285,6 +292,7 @@ FORMS: dict[str, Form] = {
     "drive_nonlinearity": _driven_cube("d", 1.0),
     "drive_amplitude_phase": _driven_cube("d", 1j),
     "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
+    "drive_stiffness": Form(_softened),
     "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", _clipped(s.drive, g["level"]))], _levels("drive", _LIMITS)),
     "drive_dead_zone": Form(lambda s, d, g: [Part("share", "drive", _dead(s.drive, g["level"]))], _levels("drive", _DEAD)),

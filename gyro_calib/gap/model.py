@@ -30,7 +30,8 @@ __all__ = ["CampaignModel", "look_at"]
 ComplexArray = NDArray[np.complex128]
 #: resonance wander between records, over its frequency: a usual one, and the most that is believed
 _WANDER, _MOST_WANDER = 5e-8, 5e-7
-
+#: on what unnamed terms of the saturated model depend
+_STRANGE = ("amplitude", "drive")
 #: what an unnamed term that depends on something needs
 _NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
 
@@ -128,7 +129,8 @@ def look_at(
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
     report(0.75, "noise")
     drifts = slow_drifts(evidence, linear)
-    saturated = saturated_columns(evidence, linear, [*nuisances, *drifts], candidates, turned)
+    strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting]
+    saturated = saturated_columns(evidence, linear, [*nuisances, *drifts], candidates, [*turned, *strange])
     of_rate = [*nuisances, *drifts, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, saturated, of_rate, angular_gain, nuisances)
     whitener = Whitener.of(evidence, noise, excess)

@@ -168,7 +168,10 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
         values = left[k][side * count : (side + 1) * count]
         basis[key].append(r.lines(channel, quiet=True).basis())
         squares[key].append((values.real if part == 0 else values.imag) ** 2)
-    found = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key])) for key in basis}
+    # an open drive is as steady as its generator, and where its resonance lay is a nuisance of its own: what is slow there is no noise
+    waves = {r.role for r in evidence if r.is_wave}
+    steady = {r.noise_key(channel) for r in evidence if r.role not in waves for channel in CHANNELS}
+    found = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady) for key in basis}
     parents = {r.role: r.parent_role for r in evidence}
     out = {}
     for (role, channel), law in found.items():

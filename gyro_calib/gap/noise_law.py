@@ -23,6 +23,7 @@ _NEIGHBOURS, _CAP, _MEDIAN = 41, 9.0, 0.455
 #: places of two terms among the coefficients
 WHITE, PICKOFF = 0, 2
 _TERMS = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3))
+_FAST_TERMS = ((0,), (0, 2))
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class NoiseLaw:
         return NoiseLaw((white, flicker, pickoff, walk), max(self.mean, other.mean))
 
 
-def fit_law(basis: FloatArray, squares: FloatArray) -> NoiseLaw:
+def fit_law(basis: FloatArray, squares: FloatArray, *, slow: bool = True) -> NoiseLaw:
     """Non-negative coefficients by the Whittle likelihood; a term beyond white is kept only when the data ask for it.
 
     Parameters
@@ -92,10 +93,12 @@ def fit_law(basis: FloatArray, squares: FloatArray) -> NoiseLaw:
         From :meth:`Lines.basis`.
     squares : ndarray, shape (n,)
         Squared projections, each chi-square with one degree of freedom.
+    slow : bool
+        Whether there may be flicker and walk.
     """
     squares = _without_outliers(basis[:, 2], squares)
     best, best_score = np.zeros(4), np.inf
-    for terms in _TERMS:
+    for terms in _TERMS if slow else _FAST_TERMS:
         coefficients = np.zeros(4)
         coefficients[list(terms)] = _whittle(basis[:, terms], squares)
         expected = np.maximum(basis @ coefficients, 1e-300)

@@ -22,6 +22,8 @@ _SETTINGS = 4
 _SATURATION = 0.5
 #: how much of a drive or of a reading a limiter or a dead zone may take, sd
 _TAKEN = 0.03
+#: size of an unnamed term over what the drives do, sd
+_SMALL = 0.003
 #: of a drive and of a pick-off: opposite to each other they are one filter of both
 _TWIN = {"pickoff_memory": "drive_memory", "pickoff_lag": "drive_lag"}
 #: effects with a memory, or that feed through
@@ -62,9 +64,9 @@ def saturated_columns(
     linear: Linear,
     nuisances: Sequence[Column],
     candidates: Mapping[str, Sequence[Candidate]],
-    turned: Sequence[Candidate],
+    unnamed: Sequence[Candidate],
 ) -> list[Column]:
-    """Every effect at once, each of a size that it may have, and unnamed terms of rate.
+    """Every effect at once, each of a size that it may have, and unnamed terms: what has no name is no noise either.
 
     Drive and pick-off that pass through one filter obey the linear flow as before: a memory of the one against the same of the other holds
     no signal, but all of the noise, so of such twins one is enough. Where no open drive of both axes told the feedthrough, without the lag
@@ -78,15 +80,14 @@ def saturated_columns(
     nuisances : sequence of Column
     candidates : mapping
         Effects by name.
-    turned : sequence of Candidate
-        Unnamed terms of rate.
+    unnamed : sequence of Candidate
     """
     told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
     chosen = [_not_gross(evidence, linear, c) for tried in told.values() for c in _some(tried)]
     if not open_drive(evidence):
         nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
         chosen = [c for c in chosen if c.name not in _FAST]
-    held = [c for c in effect_columns([*chosen, *turned]) if any(np.any(v) for v in c.signal)]
+    held = [c for c in effect_columns([*chosen, *(_small(evidence, linear, c) for c in unnamed)]) if any(np.any(v) for v in c.signal)]
     # few recordings have no equations for all of that: it would explain their noise
     few = len(nuisances) + len(held) > _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
     return list(nuisances) if few else [*nuisances, *held]
@@ -95,6 +96,14 @@ def saturated_columns(
 def _some(tried: Sequence[Candidate]) -> Sequence[Candidate]:
     """Of an effect's settings as many as are held."""
     return tried[:: max(1, len(tried) // _SETTINGS)]
+
+
+def _small(evidence: CampaignEvidence, linear: Linear, unnamed: Candidate) -> Candidate:
+    """An unnamed term that is small against what the drives do: a larger one is seen whatever the noise, and could open the loop."""
+    driven = [r.turn * np.einsum("nab,ab->n", r.signal.drive, linear.G) for r in evidence]
+    whole = np.sqrt(sum(float(np.sum(np.abs(v) ** 2)) for v in driven))
+    sizes = np.array([np.sqrt(sum(float(np.sum(np.abs(v) ** 2)) for v in c.signal)) for c in unnamed.columns])
+    return replace(unnamed, prior_sd=np.minimum(unnamed.prior_sd, _SMALL * whole / np.where(sizes > 0.0, sizes, np.inf)))
 
 
 def _not_gross(evidence: CampaignEvidence, linear: Linear, candidate: Candidate) -> Candidate:

@@ -28,6 +28,8 @@ from .effect_layout import (
     E_READ_X,
     E_READ_Y,
     E_RELAX,
+    E_SOFT_X,
+    E_SOFT_Y,
     E_STRAY,
     E_TONE_OMEGA,
     E_TONE_PHASE,
@@ -138,6 +140,9 @@ def effect_samples(  # type: ignore[no-untyped-def]
     p0, p1, p2, p3, p4, p5, p6, p7 = pk[0], pk[1], pk[2], pk[3], pk[4], pk[5], pk[6], pk[7]
     mode_xx, mode_xy, mode_yx, mode_yy = effect[E_MODE_XX], effect[E_MODE_XY], effect[E_MODE_YX], effect[E_MODE_YY]
     read_x, read_y, read_cross = effect[E_READ_X], effect[E_READ_Y], effect[E_READ_CROSS]
+    soft_x, soft_y = effect[E_SOFT_X], effect[E_SOFT_Y]
+    # what is held over a sample stands for the phase in its middle, the motion that it meets is that of its start
+    half_c, half_s = math.cos(0.5 * omega * dt), math.sin(0.5 * omega * dt)
     pump_c, pump_s, tone_x, tone_y = effect[E_PUMP_C], effect[E_PUMP_S], effect[E_TONE_X], effect[E_TONE_Y]
     full, lsb, cubic_x, cubic_y = converters[0], converters[1], converters[4], converters[7]
     per_gap_x, per_gap_y = converters[5], converters[6]
@@ -149,11 +154,11 @@ def effect_samples(  # type: ignore[no-untyped-def]
         readx, ready = (p0 * x + p1 * vx) + (p2 * y + p3 * vy), (p4 * x + p5 * vx) + (p6 * y + p7 * vy)
         readx /= 1.0 - readx * per_gap_x
         ready /= 1.0 - ready * per_gap_y
-        readx += mode_xx * mode1.real + mode_xy * mode2.real + exr * c - exi * s + pick_noise * noise[n + 2]
-        ready += mode_yx * mode1.real + mode_yy * mode2.real + eyr * c - eyi * s + pick_noise * noise[n + 3]
+        readx += mode_xx * mode1.imag + mode_xy * mode2.imag + exr * c - exi * s + pick_noise * noise[n + 2]
+        ready += mode_yx * mode1.imag + mode_yy * mode2.imag + eyr * c - eyi * s + pick_noise * noise[n + 3]
         if turned:  # by what the pick-offs were a quarter of a cycle ago
-            latex = (p1 * x - p0 * vx) + (p3 * y - p2 * vy) + mode_xx * mode1.imag + mode_xy * mode2.imag + exr * s + exi * c
-            latey = (p5 * x - p4 * vx) + (p7 * y - p6 * vy) + mode_yx * mode1.imag + mode_yy * mode2.imag + eyr * s + eyi * c
+            latex = (p1 * x - p0 * vx) + (p3 * y - p2 * vy) - mode_xx * mode1.real - mode_xy * mode2.real + exr * s + exi * c
+            latey = (p5 * x - p4 * vx) + (p7 * y - p6 * vy) - mode_yx * mode1.real - mode_yy * mode2.real + eyr * s + eyi * c
             readx -= read_x * (readx * readx + latex * latex) * latex
             ready -= read_y * (ready * ready + latey * latey) * latey
         cubex, cubey = readx * readx * readx, ready * ready * ready
@@ -162,6 +167,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
         readx, ready = _convert(gain * readx, full, lsb), _convert(gain * ready, full, lsb)
         volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3] = 2.0 * readx * c, -2.0 * readx * s, 2.0 * ready * c, -2.0 * ready * s
         forcex, forcey = wxr * c - wxi * s, wyr * c - wyi * s
+        metx = mety = 0.0
         if mode_on:
             mode1, mode2 = mode1 * mode_turn, mode2 * mode_turn
         if j >= settling:
@@ -170,6 +176,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
             if bent:
                 nowx, nowy = drive_stage(nowx, nowy, effect)
                 agox, agoy = drive_stage(agox, agoy, effect)
+            metx, mety = nowx * half_c + agox * half_s, nowy * half_c + agoy * half_s
             forcex += factor * ((b0 * nowx - b1 * agox) + (b2 * nowy - b3 * agoy))
             forcey += factor * ((b4 * nowx - b5 * agox) + (b6 * nowy - b7 * agoy))
             if mode_on:
@@ -177,7 +184,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
         forcex += (b0 * tone_x + b2 * tone_y) * tone_c - (b1 * tone_x + b3 * tone_y) * tone_s
         forcey += (b4 * tone_x + b6 * tone_y) * tone_c - (b5 * tone_x + b7 * tone_y) * tone_s
         pump = pump_c * (c * c - s * s) + pump_s * 2.0 * s * c
-        pushx, pushy = -pump * x, -pump * y
+        pushx, pushy = -(pump + soft_x * metx * metx) * x, -(pump + soft_y * mety * mety) * y
         if curved:
             curlx, curly = instant_force(x, y, vx * w, vy * w, nonlinear)
             pushx, pushy = pushx - curlx, pushy - curly

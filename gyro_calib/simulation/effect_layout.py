@@ -21,7 +21,9 @@ E_STRAY, E_READ_X, E_READ_Y, E_READ_CROSS, E_HUM_OMEGA, E_HUM_X, E_HUM_Y = 32, 3
 E_OUT_KEEP, E_OUT_SLOW, E_OUT_SLOW_KEEP, E_SKEW_KEEP, E_SKEW_LEAD, E_GAIN, E_PERIOD, E_HOLD = 42, 43, 44, 45, 46, 47, 48, 49
 # gains of the spurious modes: of the x drive in the x pick-off, of y in x, of x in y, of y in y [1/s]
 E_MODE_XX, E_MODE_XY, E_MODE_YX, E_MODE_YY = 50, 51, 52, 53
-N_EFFECT = 54
+# stiffness per drive volt squared of x and of y [1/s^2/V^2]
+E_SOFT_X, E_SOFT_Y = 54, 55
+N_EFFECT = 56
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]

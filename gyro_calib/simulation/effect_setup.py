@@ -150,6 +150,8 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     # stiffness Re[kappa e^{2 i phi}] gives p' = (i kappa/4w) p*: kappa = -4 i w (h_c + i h_s)
     effect[at.E_PUMP_C] = 4.0 * w * size("parametric_pump", "h_s")
     effect[at.E_PUMP_S] = 4.0 * w * size("parametric_pump", "h_c")
+    # a stiffness kappa v^2 of both amplitudes gives p' = (i kappa/2w)(|u|^2 p/2 + u^2 p*/4)
+    effect[at.E_SOFT_X], effect[at.E_SOFT_Y] = (8.0 * w * size("drive_stiffness", name) for name in ("k_x", "k_y"))
     effect[at.E_RELAX] = 2.0 * w * size("relaxation", "c")
     effect[at.E_RELAX_KEEP] = math.exp(-effect[at.E_PERIOD] / size("relaxation", "tau", 1.0))
     effect[at.E_CONSTANT : at.E_CONSTANT + 4] = [size("constant_force", name) for name in ("f_xc", "f_xs", "f_yc", "f_ys")]

@@ -47,7 +47,7 @@ class SteadyEffects:
         mode = self._device.effects.get("spurious_mode")
         if mode is not None:
             above = 2.0 * math.pi * (self._device.resonator.frequency_at(self._device.environment.temperature_degc) + mode["separation_hz"])
-            response = 1.0 / complex(2.0 * math.pi * mode["half_width_hz"], omega_rad_s - above)
+            response = -1j / complex(2.0 * math.pi * mode["half_width_hz"], omega_rad_s - above)
             E = E + response * np.array([[mode["gain_xx"], mode["gain_xy"]], [mode["gain_yx"], mode["gain_yy"]]])
         return replace(flow, A=A[0], G=G[0], E=np.asarray(E, dtype=np.complex128))
 
@@ -55,10 +55,15 @@ class SteadyEffects:
         """Drive that acts, less the commanded one [V]."""
         return np.array(bent_drive(complex(drive[0]), complex(drive[1]), self._numbers)) * self._drive_gain - drive
 
-    def rate(self, pick: ComplexArray) -> ComplexArray:
-        """What damping, friction and pump add to p' [V/s]."""
-        x, y = np.linalg.solve(self._motion_v, pick)
-        return np.asarray(self._motion_v @ np.array(effect_rate(complex(x), complex(y), self._numbers)), dtype=np.complex128)
+    def rate(self, pick: ComplexArray, drive: ComplexArray) -> ComplexArray:
+        """What damping, friction, pump and a stiffness that the drives make add to p' [V/s]."""
+        motion = np.linalg.solve(self._motion_v, pick)
+        added = np.array(effect_rate(complex(motion[0]), complex(motion[1]), self._numbers))
+        softness = self._device.effects.get("drive_stiffness")
+        if softness is not None:
+            k = np.array([softness["k_x"], softness["k_y"]])
+            added = added + 1j * k * (2.0 * np.abs(drive) ** 2 * motion + drive**2 * motion.conj())
+        return np.asarray(self._motion_v @ added, dtype=np.complex128)
 
     def true_volts(self, read: ComplexArray) -> ComplexArray:
         """Volts of the motion and feedthrough that are read as ``read``."""
@@ -84,16 +89,17 @@ class SteadyEffects:
         along, across = np.array([math.cos(late), math.sin(late)]), np.array([-math.sin(late), math.cos(late)])
         drive = 1j * last.amplitude_drive_v * along + (last.quadrature_drive_v + 1j * command.setpoints.virtual_precession_v) * across
         drive = drive + command.setpoints.stiffness_v_per_v * amplitude * np.array([math.cos(psi), math.sin(psi)])
-        acting = self.drive_excess(np.asarray(np.reshape(command.compensation, (2, 2)) @ drive, dtype=np.complex128))
+        drive = np.asarray(np.reshape(command.compensation, (2, 2)) @ drive, dtype=np.complex128)
+        acting = self.drive_excess(drive)
         dynamics = flow.A - 1j * last.detuning_rad_s * np.eye(2)
-        return WaveExcess(self, volts, np.asarray(dynamics @ volts + flow.G @ acting - turning, dtype=np.complex128))
+        return WaveExcess(self, volts, np.asarray(dynamics @ volts + flow.G @ acting - turning, dtype=np.complex128), drive)
 
 
 class WaveExcess:
     """Extra terms of a wave's balance [V/s], called with the pick-offs that are read, without feedthrough."""
 
-    def __init__(self, effects: SteadyEffects, volts: ComplexArray, constant: ComplexArray) -> None:
-        self._effects, self.volts, self._constant = effects, volts, constant
+    def __init__(self, effects: SteadyEffects, volts: ComplexArray, constant: ComplexArray, drive: ComplexArray) -> None:
+        self._effects, self.volts, self._constant, self._drive = effects, volts, constant, drive
 
     def __call__(self, pick: ComplexArray) -> ComplexArray:
-        return self._constant + self._effects.rate(pick + self.volts)
+        return self._constant + self._effects.rate(pick + self.volts, self._drive)

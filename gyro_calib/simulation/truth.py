@@ -192,4 +192,4 @@ def _with_effects(
     """N(p) with what the effects add, drives as last found."""
     drive = np.zeros(2, dtype=np.complex128) if last is None else np.asarray(compensation @ last.drive / factor, dtype=np.complex128)
     acting = np.asarray(factor * (G @ effects.drive_excess(drive)), dtype=np.complex128)
-    return _sum_of(nonlinear, lambda p: np.asarray(effects.rate(p) + acting, dtype=np.complex128), np.zeros(2, dtype=np.complex128))
+    return _sum_of(nonlinear, lambda p: np.asarray(effects.rate(p, drive) + acting, dtype=np.complex128), np.zeros(2, dtype=np.complex128))
