@@ -41,6 +41,7 @@ class Rows:
     A: ComplexArray
     G: ComplexArray
     size: Mapping[str, float]
+    away_rad_s: NDArray[np.float64]
 
     def force(self, du: ComplexArray) -> ComplexArray:
         """What a change of the drives adds."""
@@ -98,7 +99,7 @@ def measured(
     rest = slope(p) - p @ flow.A.T + 1j * (omega - omega.mean())[:, None] * p - u @ flow.G.T
     size = next(iter(effects.values()), {})
     keep = slice(5, -5)
-    return Rows(rows[keep, 0], p[keep], u[keep], volts[keep], rest[keep], flow.A, flow.G, size)
+    return Rows(rows[keep, 0], p[keep], u[keep], volts[keep], rest[keep], flow.A, flow.G, size, omega[keep] - plain.resonator.omega0_rad_s)
 
 
 def assert_form(rows: Rows, expected: ComplexArray, relative: float, before: ComplexArray | float = 0.0) -> None:

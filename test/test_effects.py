@@ -66,6 +66,8 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "pickoff_nonlinearity": ({"c_x": 2e-3, "c_y": -3e-3}, lambda r: r.reading(by_axis(r, "c_x", "c_y") * cubes(r.volts))),
     "pickoff_amplitude_phase": ({"c_x": 2e-3, "c_y": -3e-3}, lambda r: r.reading(1j * by_axis(r, "c_x", "c_y") * cubes(r.volts))),
     "pickoff_cross_nonlinearity": ({"c": 2e-3}, lambda r: r.reading(r.size["c"] * cubes(r.volts)[:, ::-1])),
+    "drive_delay": ({"tau_x": 2e-4, "tau_y": -1e-4}, lambda r: r.force(_late_drive(r))),
+    "pickoff_delay": ({"tau_x": 2e-4, "tau_y": -1e-4}, lambda r: r.reading(_late(r))),
     "pickoff_interference": ({"v_xc": 0.01, "v_xs": 0.02, "v_yc": 0.03, "v_ys": -0.04}, lambda r: r.reading(_constant(r))),
 }
 
@@ -89,7 +91,7 @@ def test_without_effects_nothing_is_left_over(plain: Device) -> None:
 
 
 @compiled_only
-@pytest.mark.parametrize("name", sorted(set(STATIC) - {"drive_amplitude_phase", "drive_stiffness"}))
+@pytest.mark.parametrize("name", sorted(set(STATIC) - {"drive_amplitude_phase", "drive_stiffness", "pickoff_delay", "drive_delay"}))
 def test_slow_flow_has_the_same_effect(plain: Device, name: str) -> None:
     sizes, form = STATIC[name]
     rows, before = measured(plain, {name: sizes}, fidelity="slow_flow"), measured(plain, {}, fidelity="slow_flow")
@@ -220,13 +222,25 @@ def test_resonator_follows_a_temperature_late(plain: Device) -> None:
 
 # ---------------------------------------------------------------- memory, side bands, tones
 
+
+def _late(r: Rows) -> ComplexArray:
+    """Of a carrier that is late, on each axis: its envelope, and its phase away from the nominal frequency."""
+    return -by_axis(r, "tau_x", "tau_y") * (slope(r.volts) + 1j * r.away_rad_s[:, None] * r.volts)
+
+
+def _late_drive(r: Rows) -> ComplexArray:
+    return -by_axis(r, "tau_x", "tau_y") * (slope(r.u) + 1j * r.away_rad_s[:, None] * r.u)
+
+
 MODULATED = Command("ftr_x", Excitation("amplitude_modulation", 4.0, 0.3))
 MEMORY: dict[str, tuple[dict[str, float], Form]] = {
     "relaxation": ({"c": 1.0, "tau": 0.05}, lambda r: 1j * (slow(r.p, 0.05) - r.p)),
     "drive_memory": ({"share": 0.05, "tau": 0.05}, lambda r: r.force(0.05 * slow(r.u, 0.05))),
     "drive_lag": ({"tau": 3e-4}, lambda r: r.force(-3e-4 * slope(r.u))),
+    "drive_delay": ({"tau_x": 3e-4, "tau_y": 1e-4}, lambda r: r.force(_late_drive(r))),
     "pickoff_memory": ({"share": 3e-3, "tau": 0.05}, lambda r: r.reading(3e-3 * slow(r.volts, 0.05))),
     "pickoff_lag": ({"tau": 2e-4}, lambda r: r.reading(-2e-4 * slope(r.volts))),
+    "pickoff_delay": ({"tau_x": 2e-4, "tau_y": -1e-4}, lambda r: r.reading(_late(r))),
     "channel_skew": ({"tau": 2e-4}, lambda r: r.reading(-2e-4 * slope(r.volts) * np.array([0.0, 1.0]))),
     "channel_skew early": ({"tau": -5e-5}, lambda r: r.reading(5e-5 * slope(r.volts) * np.array([0.0, 1.0]))),
 }

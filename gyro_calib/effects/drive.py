@@ -58,6 +58,13 @@ DRIVE = (
         ("pickoff_lag", "spurious_mode"),
     ),
     Effect(
+        "drive_delay", "Drive's carrier is late: an amplifier, a cable, a slot", "drive", (18, 19, 23),
+        pair("tau_x tau_y", "s", 2e-5, 1e-3, "delay beyond the phase that it has at the nominal frequency"),
+        ("temperature", "side bands"), BOTH,
+        "u_j += -tau_j (du_j/dt + i (w - w0) u_j), w of the reference, w0 nominal",
+        ("thermal_drive_phase", "drive_lag", "pickoff_delay"),
+    ),
+    Effect(
         "drive_memory", "Dielectric absorption in the drive", "drive", (32,),
         (
             signed("share", "1", 0.01, 1.0, "slow part over the prompt part"),

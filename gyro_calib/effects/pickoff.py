@@ -37,6 +37,13 @@ PICKOFF = (
         ("drive_lag", "channel_skew"),
     ),
     Effect(
+        "pickoff_delay", "Pick-off's carrier is late: an analog filter, a cable, a slot", "pick-off", (18, 19, 23),
+        pair("tau_x tau_y", "s", 2e-5, 1e-3, "delay beyond the phase that it has at the nominal frequency"),
+        ("temperature", "side bands"), BOTH,
+        "V_j += -tau_j (dV_j/dt + i (w - w0) V_j), w of the reference, w0 nominal",
+        ("thermal_pickoff_phase", "pickoff_lag", "drive_delay"),
+    ),
+    Effect(
         "pickoff_memory", "Dielectric absorption in the pick-off", "pick-off", (32,),
         (
             signed("share", "1", 0.003, 1.0, "slow part over the prompt part"),

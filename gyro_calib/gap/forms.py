@@ -258,6 +258,18 @@ def _driven_cube(letter: str, factor: complex) -> Form:
     return Form(lambda s, d, g: _by_axis("drive", letter, factor * cube(s.drive)))
 
 
+def _delayed(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """A carrier that is late: its envelope is, and its phase follows the reference away from the nominal frequency."""
+    away = -1j * (s.omega_rad_s - s.omega0_rad_s)[:, None]
+    late = _lag(s, s.pick)
+    turned = [read_at_once(f"tau_{n}", s, d, lambda v, k=k: _only(away * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+    return [*turned, *(Part(f"tau_{n}", "output", _only(late, k)) for k, n in enumerate("xy"))]
+
+
+def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    return _by_axis("drive", "tau", _lag(s, s.drive) - 1j * (s.omega_rad_s - s.omega0_rad_s)[:, None] * s.drive)
+
+
 def _softened(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier."""
     p = _motion(s, d)
@@ -297,6 +309,7 @@ FORMS: dict[str, Form] = {
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", _clipped(s.drive, g["level"]))], _levels("drive", _LIMITS)),
     "drive_dead_zone": Form(lambda s, d, g: [Part("share", "drive", _dead(s.drive, g["level"]))], _levels("drive", _DEAD)),
     "drive_lag": Form(lambda s, d, g: [Part("tau", "drive", _lag(s, s.drive))]),
+    "drive_delay": Form(_driven_late),
     "drive_memory": Form(lambda s, d, g: [Part("share", "drive", remembered(s, lambda of: of.drive, g["tau"]))], _times(0.05, 5.0, 5)),
     # pick-off
     "pickoff_nonlinearity": _read_by_axis("c", lambda s, v: cube(v)),
@@ -304,6 +317,7 @@ FORMS: dict[str, Form] = {
     "pickoff_cross_nonlinearity": Form(lambda s, d, g: [read_at_once("c", s, d, lambda v: _swapped(cube(v)))]),
     "pickoff_saturation": Form(lambda s, d, g: [read_at_once("share", s, d, lambda v: _clipped(v, g["level"]))], _levels("pick", _LIMITS)),
     "pickoff_lag": Form(lambda s, d, g: [Part("tau", "output", _lag(s, s.pick))]),
+    "pickoff_delay": Form(_delayed),
     "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", remembered(s, lambda of: of.pick, g["tau"]))], _times(0.05, 5.0, 5)),
     "pickoff_interference": Form(_constant("output", "v"), _with_or_without_open_drive),
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", _only(_lag(s, s.pick), 1))]),

@@ -25,12 +25,14 @@ _TAKEN = 0.03
 #: size of an unnamed term over what the drives do, sd
 _SMALL = 0.003
 #: of a drive and of a pick-off: opposite to each other they are one filter of both
-_TWIN = {"pickoff_memory": "drive_memory", "pickoff_lag": "drive_lag"}
+_TWIN = {"pickoff_memory": "drive_memory", "pickoff_lag": "drive_lag", "pickoff_delay": "drive_delay"}
 #: effects with a memory, or that feed through
 _FAST = (
     "drive_lag",
+    "drive_delay",
     "drive_memory",
     "pickoff_lag",
+    "pickoff_delay",
     "pickoff_memory",
     "channel_skew",
     "relaxation",

@@ -174,7 +174,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             ca, sa = math.cos(half), math.sin(half)
             qxc, qxs, qyc, qys = uxc, uxs, uyc, uys
             if effects_on:
-                qxc, qxs, qyc, qys = drive_phasors(memory, effect, uxc, uxs, uyc, uys)
+                qxc, qxs, qyc, qys = drive_phasors(memory, effect, omega, uxc, uxs, uyc, uys)
             axr, axi = qxc * ca - qxs * sa, qxc * sa + qxs * ca
             ayr, ayi = qyc * ca - qys * sa, qyc * sa + qys * ca
             if multiplexed:
@@ -272,7 +272,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 n00, n01, n02, n03 = n00 + h1 * v0, n01 + h1 * v1, n02 + h1 * v2, n03 + h1 * v3
                 n10, n11, n12, n13 = n10 + h2 * v0, n11 + h2 * v1, n12 + h2 * v2, n13 + h2 * v3
             if effects_on:
-                xc, xs, yc, ys = pick_phasors(memory, effect, xc, xs, yc, ys)
+                xc, xs, yc, ys = pick_phasors(memory, effect, omega, xc, xs, yc, ys)
             line = steps[step]
             line[0], line[1], line[2], line[3] = xc, xs, yc, ys
             line[4], line[5], line[6], line[7], line[8] = uxc, uxs, uyc, uys, omega

@@ -23,12 +23,17 @@ E_OUT_KEEP, E_OUT_SLOW, E_OUT_SLOW_KEEP, E_SKEW_KEEP, E_SKEW_LEAD, E_GAIN, E_PER
 E_MODE_XX, E_MODE_XY, E_MODE_YX, E_MODE_YY = 50, 51, 52, 53
 # stiffness per drive volt squared of x and of y [1/s^2/V^2]
 E_SOFT_X, E_SOFT_Y = 54, 55
-N_EFFECT = 56
+# delay of the carriers over a control period, x and y; nominal angular frequency [rad/s]
+E_DELAY_X, E_DELAY_Y, E_NOMINAL = 56, 57, 58
+# the same of the drives
+E_LATE_X, E_LATE_Y = 59, 60
+N_EFFECT = 61
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
-# the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]
-M_TIME, M_LAG, M_SLOW, M_MOTION, M_MODE, M_OUT_LAG, M_OUT_SLOW, M_LAST, M_SKEW = 0, 1, 5, 9, 13, 17, 21, 25, 27
-N_MEMORY = 29
+# the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed
+# pick-offs and drives x_c, x_s, y_c, y_s [V]
+M_TIME, M_LAG, M_SLOW, M_MOTION, M_MODE, M_OUT_LAG, M_OUT_SLOW, M_LAST, M_SKEW, M_EARLY, M_SOON = 0, 1, 5, 9, 13, 17, 21, 25, 27, 29, 33
+N_MEMORY = 37
 
 # per row: feedthrough added to x and to y, angular frequency of the spurious mode [rad/s]
 R_FEED_X, R_FEED_Y, R_MODE_OMEGA = 0, 1, 2

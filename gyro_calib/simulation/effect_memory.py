@@ -6,11 +6,17 @@ import math
 
 from ..jit import kernel
 from .effect_layout import (
+    E_DELAY_X,
+    E_DELAY_Y,
     E_LAG_KEEP,
     E_LAG_MEAN,
+    E_LATE_X,
+    E_LATE_Y,
+    E_NOMINAL,
     E_OUT_KEEP,
     E_OUT_SLOW,
     E_OUT_SLOW_KEEP,
+    E_PERIOD,
     E_PHASE_X,
     E_PHASE_Y,
     E_RELAX,
@@ -21,6 +27,7 @@ from .effect_layout import (
     E_SLOW,
     E_SLOW_KEEP,
     E_SLOW_MEAN,
+    M_EARLY,
     M_LAG,
     M_LAST,
     M_MOTION,
@@ -28,6 +35,7 @@ from .effect_layout import (
     M_OUT_SLOW,
     M_SKEW,
     M_SLOW,
+    M_SOON,
 )
 
 __all__ = ["drive_phasors", "pick_phasors", "relaxing_force"]
@@ -44,8 +52,21 @@ def _drive_with_memory(memory, effect, k, u):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def drive_phasors(memory, effect, uxc, uxs, uyc, uys):  # type: ignore[no-untyped-def]
-    """Drive phasors of the coming control period from the commanded ones [V]: lag, memory, sag, phase with amplitude."""
+def _delayed(memory, effect, place, share, omega, c, s):  # type: ignore[no-untyped-def]
+    """An envelope whose carrier is late by a share of the control period: itself, and its phase away from the nominal frequency."""
+    lc, ls = c + share * (memory[place] - c), s + share * (memory[place + 1] - s)
+    memory[place], memory[place + 1] = c, s
+    angle = -share * effect[E_PERIOD] * (omega - effect[E_NOMINAL])
+    turn_c, turn_s = math.cos(angle), math.sin(angle)
+    return lc * turn_c - ls * turn_s, lc * turn_s + ls * turn_c
+
+
+@kernel
+def drive_phasors(memory, effect, omega, uxc, uxs, uyc, uys):  # type: ignore[no-untyped-def]
+    """Drive phasors of the coming control period from the commanded ones [V]: delay, lag, memory, sag, phase with amplitude."""
+    if effect[E_LATE_X] != 0.0 or effect[E_LATE_Y] != 0.0:
+        uxc, uxs = _delayed(memory, effect, M_SOON, effect[E_LATE_X], omega, uxc, uxs)
+        uyc, uys = _delayed(memory, effect, M_SOON + 2, effect[E_LATE_Y], omega, uyc, uys)
     uxc, uxs = _drive_with_memory(memory, effect, 0, uxc), _drive_with_memory(memory, effect, 1, uxs)
     uyc, uys = _drive_with_memory(memory, effect, 2, uyc), _drive_with_memory(memory, effect, 3, uys)
     xx, yy = uxc * uxc + uxs * uxs, uyc * uyc + uys * uys
@@ -90,8 +111,11 @@ def _skewed(memory, effect, k, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pick_phasors(memory, effect, xc, xs, yc, ys):  # type: ignore[no-untyped-def]
-    """Demodulated pick-offs of a control period as the electronics give them [V]: lag, memory, skew of y."""
+def pick_phasors(memory, effect, omega, xc, xs, yc, ys):  # type: ignore[no-untyped-def]
+    """Demodulated pick-offs of a control period as the electronics give them [V]: delay, lag, memory, skew of y."""
+    if effect[E_DELAY_X] != 0.0 or effect[E_DELAY_Y] != 0.0:
+        xc, xs = _delayed(memory, effect, M_EARLY, effect[E_DELAY_X], omega, xc, xs)
+        yc, ys = _delayed(memory, effect, M_EARLY + 2, effect[E_DELAY_Y], omega, yc, ys)
     xc, xs = _pick_with_memory(memory, effect, 0, xc), _pick_with_memory(memory, effect, 1, xs)
     yc, ys = _pick_with_memory(memory, effect, 2, yc), _pick_with_memory(memory, effect, 3, ys)
     return xc, xs, _skewed(memory, effect, 0, yc), _skewed(memory, effect, 1, ys)

@@ -102,6 +102,7 @@ def kernel_constants(device: Device) -> FloatArray:
     effect = np.zeros(at.N_EFFECT)
     size = _Sizes(device.effects)
     effect[at.E_PERIOD] = 1.0 / device.electronics.control_rate_hz
+    effect[at.E_NOMINAL] = device.resonator.omega0_rad_s
     effect[at.E_HOLD] = np.sinc(device.resonator.frequency_hz / device.electronics.adc_rate_hz)
     _forces(effect, size, device.resonator.omega0_rad_s, device.pickoff.gain_v_per_m)
     _drive(effect, size, _drive_step(device))
@@ -125,6 +126,7 @@ def started_memory(effect: FloatArray, pick: ComplexArray, volts: ComplexArray, 
     memory[at.M_LAG : at.M_LAG + 4] = memory[at.M_SLOW : at.M_SLOW + 4] = _parts(drive)
     memory[at.M_MOTION : at.M_MOTION + 4] = _parts(unpick @ pick)
     memory[at.M_OUT_LAG : at.M_OUT_LAG + 4] = memory[at.M_OUT_SLOW : at.M_OUT_SLOW + 4] = _parts(volts)
+    memory[at.M_EARLY : at.M_EARLY + 4], memory[at.M_SOON : at.M_SOON + 4] = _parts(volts), _parts(drive)
     slow = 1.0 + effect[at.E_OUT_SLOW]
     memory[at.M_LAST : at.M_LAST + 2] = memory[at.M_SKEW : at.M_SKEW + 2] = slow * _parts(volts)[2:]
     return memory
@@ -166,6 +168,7 @@ def _drive(effect: FloatArray, size: _Sizes, step_v: float) -> None:
     period = effect[at.E_PERIOD]
     effect[at.E_SAG] = size("drive_sag", "d")
     effect[at.E_PHASE_X], effect[at.E_PHASE_Y] = size("drive_amplitude_phase", "d_x"), size("drive_amplitude_phase", "d_y")
+    effect[at.E_LATE_X], effect[at.E_LATE_Y] = size("drive_delay", "tau_x") / period, size("drive_delay", "tau_y") / period
     effect[at.E_LAG_KEEP], effect[at.E_LAG_MEAN] = _low_pass(period, size("drive_lag", "tau"))
     effect[at.E_SLOW] = size("drive_memory", "share")
     effect[at.E_SLOW_KEEP], effect[at.E_SLOW_MEAN] = _low_pass(period, size("drive_memory", "tau", 1.0))
@@ -183,6 +186,7 @@ def _pickoff(effect: FloatArray, size: _Sizes) -> None:
     effect[at.E_READ_CROSS] = 4.0 / 3.0 * size("pickoff_cross_nonlinearity", "c")
     effect[at.E_HUM_OMEGA] = 2.0 * math.pi * size("mains_pickup", "frequency_hz")
     effect[at.E_HUM_X], effect[at.E_HUM_Y] = size("mains_pickup", "v_x"), size("mains_pickup", "v_y")
+    effect[at.E_DELAY_X], effect[at.E_DELAY_Y] = size("pickoff_delay", "tau_x") / period, size("pickoff_delay", "tau_y") / period
     # a discrete low-pass v += keep (last - v) delays by keep/(1 - keep) periods
     lag, skew = size("pickoff_lag", "tau"), size("channel_skew", "tau")
     effect[at.E_OUT_KEEP] = lag / (lag + period)
