@@ -53,6 +53,7 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "cubic_cross_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * cubes(r.p)[:, ::-1]),
     "nonlinear_damping": ({"c": 0.5}, lambda r: -r.size["c"] * isotropic(r.p)),
     "nonlinear_damping_axes": ({"c_x": 0.5, "c_y": 0.8}, lambda r: -by_axis(r, "c_x", "c_y") * cubes(r.p)),
+    "coulomb_friction_axes": ({"c_x": 0.3, "c_y": 0.5}, lambda r: -by_axis(r, "c_x", "c_y") * r.p / np.abs(r.p)),
     "parametric_pump": ({"h_c": 0.3, "h_s": 0.5}, lambda r: complex(r.size["h_c"], r.size["h_s"]) * r.p.conj()),
     "constant_force": ({"f_xc": 0.01, "f_xs": 0.02, "f_yc": 0.03, "f_ys": -0.04}, lambda r: r.force(_constant(r))),
     "drive_nonlinearity": ({"d_x": 0.02, "d_y": 0.05}, lambda r: r.force(by_axis(r, "d_x", "d_y") * cubes(r.u))),

@@ -209,6 +209,24 @@ def test_parameters_that_do_not_fit_are_refused(tmp_path, parameters, message):
         read_campaign_bag(bad_bag(tmp_path / "bag", make_rows(3000), parameters=parameters))
 
 
+@pytest.mark.parametrize(
+    ("words", "kind"),
+    [("amplitude modulation", "amplitude_modulation"), ("open drive", "drive"), ("shaker", "body"), ("", "none"), ("Drive", "drive")],
+)
+def test_a_driver_words_its_excitation_as_a_file_does(words, kind):
+    command = command_of({"mode": "loops_off", "excitation.kind": words, "setpoint.amplitude_v": 0.0})
+    assert command is not None
+    assert command.excitation.kind == kind
+    assert command.setpoints.amplitude_v == 1.0
+
+
+def test_words_that_leave_open_what_was_excited_are_refused():
+    with pytest.raises(DataError, match=r"kind must be one of .* but got 'something'"):
+        command_of({"mode": "ftr_x", "excitation.kind": "something"})
+    with pytest.raises(DataError, match=r"amplitude_v must be > 0, but got 0\.0"):
+        command_of({"mode": "ftr_x", "setpoint.amplitude_v": 0.0})
+
+
 def test_no_gyro_and_several_gyros(tmp_path):
     record_run(tmp_path / "two")
     with pytest.raises(DataError, match=r"must hold one .* topic .* but got /left/channels, /right/channels. Choose one by topic="):

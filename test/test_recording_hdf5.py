@@ -108,6 +108,22 @@ def test_with_loops_off_no_amplitude_is_held(tmp_path):
         read_campaign_h5(write_plainly(tmp_path / "on.h5", attributes={"mode": "ftr_x", "amplitude_set_V": 0.0}))
 
 
+@pytest.mark.parametrize(
+    ("mode", "control", "expected", "gain"),
+    [
+        ("whole_angle", {"gain_down": -2.0}, "ring_down", -2.0),
+        ("whole_angle", {"gain_up": 2.0}, "ring_up", 2.0),
+        ("ring_up", {"start": 1.0, "gain_up": 2.0}, "ring_up", 2.0),
+        ("ring_down", {"gain_down": -2.0, "gain_up": 2.0}, "ring_down", -2.0),
+    ],
+)
+def test_a_wave_driven_up_is_not_one_driven_down(tmp_path, mode, control, expected, gain):
+    attributes = {"mode": mode, "amplitude_set_V": 1.0, "amplitude_control": json.dumps(control)}
+    command = read_campaign_h5(write_plainly(tmp_path / "c.h5", attributes=attributes)).recordings[0].command
+    assert command.mode == expected
+    assert command.setpoints.amplitude_gain_v_per_v == gain
+
+
 def test_other_spellings_and_types_are_understood(tmp_path):
     spellings = {"t": "Time", "x_pick_c": "X_Pick_C", "y_pick_s": "yPickS", "x_drive_c": "x drive c", "y_pick_c": "y_pickoff_c"}
     spellings |= {"ref_freq": "Reference frequency (Hz)", "temperature": "TEMP_C"}

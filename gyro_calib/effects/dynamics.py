@@ -55,7 +55,14 @@ DYNAMICS = (
         (positive("c", "V/s", 0.005, 1.0, "amplitude lost per second"),),
         ("amplitudes",), BOTH,
         "p' += -c p / |p| of a linear wave, its quadrature q (|p| = a) damped ln(4 a/q) - 1 times as much; force -c0 v / |v|",
-        ("quadratic_damping", "drive_dead_zone"),
+        ("quadratic_damping", "drive_dead_zone", "coulomb_friction_axes"),
+    ),
+    Effect(
+        "coulomb_friction_axes", "Dry friction of each axis by itself", "dynamics", None,
+        tuple(positive(f"c_{a}", "V/s", 0.005, 1.0, f"amplitude of a wave on {a} lost per second") for a in "xy"),
+        ("amplitudes",), BOTH,
+        "p_j' += -c_j p_j / |p_j|; force -c0_j sign(v_j)",
+        ("coulomb_friction", "drive_dead_zone", "nonlinear_damping_axes"),
     ),
     Effect(
         "spurious_mode", "Another mode (or pair of modes) near the resonance, driven and read along with it", "dynamics", (39,),

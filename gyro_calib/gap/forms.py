@@ -30,6 +30,8 @@ _UNLIKE: dict[str, ComplexArray] = {
     "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
 }
 _STEP = 1e-4
+#: share of the wave below which an axis rests
+_AT_REST = 3e-3
 _LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008, 0.004, 1.5e-3, 6e-4, 2e-4, 8e-5])
 _COARSE = np.geomspace(0.4, 4.0, 10)
 #: a dead zone that is small against the drive acts in proportion to its level: a coarse grid tells it
@@ -234,6 +236,14 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
     return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
 
 
+def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """Dry friction, against the velocity or of each axis by itself; on an axis that rests it has no direction."""
+    p = _motion(s, d)
+    if setting["axes"]:
+        return _by_axis("flow", "c", -p / np.sqrt(np.abs(p) ** 2 + _AT_REST**2 * _square(p)))
+    return [Part("c", "flow", -_dry(p)), *_skewed(p, _dry, -1.0)]
+
+
 def _stiffness(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
     return Form(lambda s, d, g: [Part(parameter, "flow", 1j * x(s)[:, None] * _motion(s, d))])
 
@@ -293,7 +303,7 @@ FORMS: dict[str, Form] = {
     "cubic_cross_stiffness": _flow("k", lambda p: _swapped(cube(p)), 1j),
     "nonlinear_damping": _cubic("c", -1.0, "nonlinear_damping_axes"),
     "quadratic_damping": _flow("c", _quadratic, -1.0),
-    "coulomb_friction": _flow("c", _dry, -1.0),
+    "coulomb_friction": Form(_friction, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "coulomb_friction_axes"),
     "spurious_mode": Form(_mode, _modes),
     "relaxation": Form(
         lambda s, d, g: [Part("c", "flow", 1j * (remembered(s, lambda of: _motion(of, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)

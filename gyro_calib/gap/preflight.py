@@ -103,7 +103,9 @@ def _check_open_drive(r: Recording) -> None:
 def _cut_short(campaign: Campaign) -> list[str]:
     lengths: dict[tuple[object, ...], list[Recording]] = defaultdict(list)
     for r in campaign:
-        lengths[r.command.mode, r.command.excitation.kind, "applied_rate" in r.extras].append(r)
+        # a faster precession is through its turn earlier
+        volts = round(abs(r.command.setpoints.virtual_precession_v), 2)
+        lengths[r.command.mode, r.command.excitation.kind, volts, "applied_rate" in r.extras].append(r)
     out = []
     for alike in lengths.values():
         usual = float(np.median([r.duration_s for r in alike]))

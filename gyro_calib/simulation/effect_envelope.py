@@ -21,12 +21,14 @@ FloatArray = NDArray[np.float64]
 _DAMPING, _DAMPING_X, _DAMPING_Y, _DRAG, _FRICTION, _PUMP_C, _PUMP_S = 0, 1, 2, 3, 4, 5, 6
 _FORCE, _CUBIC_X, _CUBIC_Y, _PHASE_X, _PHASE_Y, _SAG, _CROSS, _CLIP, _DEAD = 7, 11, 12, 13, 14, 15, 16, 17, 18
 _READ_X, _READ_Y, _TURN_X, _TURN_Y, _READ_CROSS, _STRAY, _READ_CLIP = 19, 20, 21, 22, 23, 24, 28
-_COUNT = 29
+_FRICTION_X, _FRICTION_Y = 29, 30
+_COUNT = 31
 _PLACES: dict[str, dict[str, int]] = {
     "nonlinear_damping": {"c": _DAMPING},
     "nonlinear_damping_axes": {"c_x": _DAMPING_X, "c_y": _DAMPING_Y},
     "quadratic_damping": {"c": _DRAG},
     "coulomb_friction": {"c": _FRICTION},
+    "coulomb_friction_axes": {"c_x": _FRICTION_X, "c_y": _FRICTION_Y},
     "parametric_pump": {"h_c": _PUMP_C, "h_s": _PUMP_S},
     "constant_force": {"f_xc": _FORCE, "f_xs": _FORCE + 1, "f_yc": _FORCE + 2, "f_ys": _FORCE + 3},
     "drive_nonlinearity": {"d_x": _CUBIC_X, "d_y": _CUBIC_Y},
@@ -84,7 +86,10 @@ def effect_rate(px, py, c):  # type: ignore[no-untyped-def]
         straight += 0.5 * (along + across)
         curled += 0.5 * (along - across) * dot / square
     pump = complex(c[_PUMP_C], c[_PUMP_S]) - curled
-    return pump * px.conjugate() - (straight + c[_DAMPING_X] * xx) * px, pump * py.conjugate() - (straight + c[_DAMPING_Y] * yy) * py
+    dry_x = c[_FRICTION_X] / math.sqrt(xx) if xx > 0.0 else 0.0
+    dry_y = c[_FRICTION_Y] / math.sqrt(yy) if yy > 0.0 else 0.0
+    rx = pump * px.conjugate() - (straight + c[_DAMPING_X] * xx + dry_x) * px
+    return rx, pump * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py
 
 
 @kernel

@@ -13,6 +13,8 @@ from .effect_layout import (
     E_DEAD,
     E_DRAG,
     E_FRICTION,
+    E_FRICTION_X,
+    E_FRICTION_Y,
     E_HOLD,
     E_STEP,
     E_VELOCITY,
@@ -48,7 +50,8 @@ def friction_direction(vx, vy, ax, ay):  # type: ignore[no-untyped-def]
 def opposes_motion(effect):  # type: ignore[no-untyped-def]
     """Whether :func:`velocity_force` is any."""
     alike, by_axis = effect[E_VELOCITY] != 0.0 or effect[E_DRAG] != 0.0, effect[E_VELOCITY_X] != 0.0 or effect[E_VELOCITY_Y] != 0.0
-    return alike or by_axis or effect[E_FRICTION] != 0.0
+    dry = effect[E_FRICTION] != 0.0 or effect[E_FRICTION_X] != 0.0 or effect[E_FRICTION_Y] != 0.0
+    return alike or by_axis or dry
 
 
 @kernel
@@ -82,6 +85,10 @@ def velocity_force(vx, vy, ax, ay, effect):  # type: ignore[no-untyped-def]
         scale = effect[E_FRICTION] / effect[E_HOLD]
         fx -= scale * nx
         fy -= scale * ny
+    if effect[E_FRICTION_X] != 0.0:
+        fx -= effect[E_FRICTION_X] / effect[E_HOLD] * friction_direction(vx, 0.0, ax, 0.0)[0]
+    if effect[E_FRICTION_Y] != 0.0:
+        fy -= effect[E_FRICTION_Y] / effect[E_HOLD] * friction_direction(vy, 0.0, ay, 0.0)[0]
     return fx, fy
 
 

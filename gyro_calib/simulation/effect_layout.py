@@ -27,7 +27,9 @@ E_SOFT_X, E_SOFT_Y = 54, 55
 E_DELAY_X, E_DELAY_Y, E_NOMINAL = 56, 57, 58
 # the same of the drives
 E_LATE_X, E_LATE_Y = 59, 60
-N_EFFECT = 61
+# friction of each axis [m/s^2]
+E_FRICTION_X, E_FRICTION_Y = 61, 62
+N_EFFECT = 63
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed

@@ -149,6 +149,8 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     effect[at.E_VELOCITY_Y] = cubic * size("nonlinear_damping_axes", "c_y")
     effect[at.E_DRAG] = 0.75 * math.pi * gain / w * size("quadratic_damping", "c")
     effect[at.E_FRICTION] = 0.5 * math.pi * w / gain * size("coulomb_friction", "c")
+    effect[at.E_FRICTION_X] = 0.5 * math.pi * w / gain * size("coulomb_friction_axes", "c_x")
+    effect[at.E_FRICTION_Y] = 0.5 * math.pi * w / gain * size("coulomb_friction_axes", "c_y")
     # stiffness Re[kappa e^{2 i phi}] gives p' = (i kappa/4w) p*: kappa = -4 i w (h_c + i h_s)
     effect[at.E_PUMP_C] = 4.0 * w * size("parametric_pump", "h_s")
     effect[at.E_PUMP_S] = 4.0 * w * size("parametric_pump", "h_c")
