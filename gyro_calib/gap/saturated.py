@@ -89,10 +89,17 @@ def saturated_columns(
     if not open_drive(evidence):
         nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
         chosen = [c for c in chosen if c.name not in _FAST]
-    held = [c for c in effect_columns([*chosen, *(_small(evidence, linear, c) for c in unnamed)]) if any(np.any(v) for v in c.signal)]
     # few recordings have no equations for all of that: it would explain their noise
-    few = len(nuisances) + len(held) > _SATURATION * sum(2 * r.signal.lhs.size for r in evidence)
-    return list(nuisances) if few else [*nuisances, *held]
+    for kept in ([*chosen, *(_small(evidence, linear, c) for c in unnamed)], chosen, _fewest(chosen)):
+        held = [c for c in effect_columns(kept) if any(np.any(v) for v in c.signal)]
+        if len(nuisances) + len(held) <= _SATURATION * sum(2 * r.signal.lhs.size for r in evidence):
+            return [*nuisances, *held]
+    return list(nuisances)
+
+
+def _fewest(chosen: Sequence[Candidate]) -> list[Candidate]:
+    """Each effect at the first of its settings that are held."""
+    return list({c.name: c for c in reversed(chosen)}.values())
 
 
 def _some(tried: Sequence[Candidate]) -> Sequence[Candidate]:
