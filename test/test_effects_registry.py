@@ -97,6 +97,8 @@ def test_effects_of_no_size_change_nothing(plain: Device) -> None:
         "parametric_pump",
         "pickoff_amplitude_phase",
         "thermal_drive_phase",
+        "drive_delay",
+        "pickoff_delay",
     ],
 )
 def test_truth_knows_what_effects_do_to_the_bias(name: str) -> None:

@@ -76,7 +76,7 @@ def _in_step(x: ComplexArray) -> FloatArray:
 
 
 def _by_motion(p: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """Fundamental of m^2 x over that of x, m the motion's volts of each axis: a force across a gap that closes."""
+    """Twice the fundamental of m^2 x, m the motion's volts of each axis: a force across a gap that closes."""
     return np.asarray(np.abs(p) ** 2 * x + 0.5 * p**2 * x.conj())
 
 

@@ -39,6 +39,8 @@ class SteadyEffects:
         # what is slow has settled: it is a gain (of a wave that stands; one that turns within the time constant has none of it)
         self._drive_gain = 1.0 + device.effects.get("drive_memory", {}).get("share", 0.0)
         self._pick_gain = 1.0 + device.effects.get("pickoff_memory", {}).get("share", 0.0)
+        late = [device.effects.get(name, {}) for name in ("drive_delay", "pickoff_delay")]
+        self._drive_late_s, self._pick_late_s = (np.array([d.get("tau_x", 0.0), d.get("tau_y", 0.0)]) for d in late)
 
     def flow(self, flow: SlowFlow, omega_rad_s: float) -> SlowFlow:
         """A, G and E with what temperature, time, rotation and a spurious mode make of them."""
@@ -51,9 +53,10 @@ class SteadyEffects:
             E = E + response * np.array([[mode["gain_xx"], mode["gain_xy"]], [mode["gain_yx"], mode["gain_yy"]]])
         return replace(flow, A=A[0], G=G[0], E=np.asarray(E, dtype=np.complex128))
 
-    def drive_excess(self, drive: ComplexArray) -> ComplexArray:
+    def drive_excess(self, drive: ComplexArray, omega_rad_s: float) -> ComplexArray:
         """Drive that acts, less the commanded one [V]."""
-        return np.array(bent_drive(complex(drive[0]), complex(drive[1]), self._numbers)) * self._drive_gain - drive
+        late = self._turned(self._drive_late_s, omega_rad_s) * drive
+        return np.array(bent_drive(complex(late[0]), complex(late[1]), self._numbers)) * self._drive_gain - drive
 
     def rate(self, pick: ComplexArray, drive: ComplexArray) -> ComplexArray:
         """What damping, friction, pump and a stiffness that the drives make add to p' [V/s]."""
@@ -65,13 +68,18 @@ class SteadyEffects:
             added = added + 1j * k * (2.0 * np.abs(drive) ** 2 * motion + drive**2 * motion.conj())
         return np.asarray(self._motion_v @ added, dtype=np.complex128)
 
-    def true_volts(self, read: ComplexArray) -> ComplexArray:
+    def true_volts(self, read: ComplexArray, omega_rad_s: float) -> ComplexArray:
         """Volts of the motion and feedthrough that are read as ``read``."""
-        volts = np.array(read, dtype=np.complex128)
+        prompt = read / self._turned(self._pick_late_s, omega_rad_s)
+        volts = np.array(prompt, dtype=np.complex128)
         for _ in range(_REPEAT):
             seen = self._pick_gain * np.array(bent_pickoff(complex(volts[0]), complex(volts[1]), self._numbers))
-            volts = volts + read - seen
+            volts = volts + prompt - seen
         return volts
+
+    def _turned(self, late_s: NDArray[np.float64], omega_rad_s: float) -> ComplexArray:
+        """What a carrier that is late has turned by, away from the frequency at which its phase is part of the gains."""
+        return np.asarray(np.exp(-1j * late_s * (omega_rad_s - self._device.resonator.omega0_rad_s)), dtype=np.complex128)
 
     def wave_excess(self, flow: SlowFlow, command: Command, latency_s: float, azimuth_rad: float, last: WavePoint) -> WaveExcess:
         """What the effects add to the balance of a wave, about its state as last found."""
@@ -80,7 +88,7 @@ class SteadyEffects:
 
         def excess(angle: float) -> ComplexArray:
             read = amplitude * np.array([math.cos(angle), math.sin(angle)], dtype=np.complex128)
-            return self.true_volts(read) - read
+            return self.true_volts(read, flow.omega0_rad_s) - read
 
         step = 1e-4
         volts = excess(psi)
@@ -90,7 +98,7 @@ class SteadyEffects:
         drive = 1j * last.amplitude_drive_v * along + (last.quadrature_drive_v + 1j * command.setpoints.virtual_precession_v) * across
         drive = drive + command.setpoints.stiffness_v_per_v * amplitude * np.array([math.cos(psi), math.sin(psi)])
         drive = np.asarray(np.reshape(command.compensation, (2, 2)) @ drive, dtype=np.complex128)
-        acting = self.drive_excess(drive)
+        acting = self.drive_excess(drive, flow.omega0_rad_s)
         dynamics = flow.A - 1j * last.detuning_rad_s * np.eye(2)
         return WaveExcess(self, volts, np.asarray(dynamics @ volts + flow.G @ acting - turning, dtype=np.complex128), drive)
 

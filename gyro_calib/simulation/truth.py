@@ -68,8 +68,8 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
         flow, extra, volts = device.slow_flow(rate_rad_s, omega_rad_s=omega), _nonlinear_forces(device, omega), None
         if effects is not None:
             flow = effects.flow(flow, omega)
-            extra = _with_effects(effects, extra, flow.G, compensation, point, 1.0 if point is None else device.drive_factor(point.pick))
-            volts = effects.true_volts(command.setpoints.amplitude_v * np.eye(2)["xy".index(axis)])
+            extra = _with_effects(effects, extra, flow, omega, compensation, point, 1.0 if point is None else device.drive_factor(point.pick))
+            volts = effects.true_volts(command.setpoints.amplitude_v * np.eye(2)["xy".index(axis)], omega)
         G, E = flow.G @ compensation, flow.E @ compensation
         point = ftr_operating_point(flow.A, G, E, command.setpoints.amplitude_v, axis, volts=volts, extra=extra)
         omega += point.detuning_rad_s
@@ -184,12 +184,13 @@ def _sum_of(
 def _with_effects(
     effects: SteadyEffects,
     nonlinear: Callable[[ComplexArray], ComplexArray] | None,
-    G: ComplexArray,
+    flow: SlowFlow,
+    omega_rad_s: float,
     compensation: NDArray[np.float64],
     last: OperatingPoint | None,
     factor: float,
 ) -> Callable[[ComplexArray], ComplexArray]:
     """N(p) with what the effects add, drives as last found."""
     drive = np.zeros(2, dtype=np.complex128) if last is None else np.asarray(compensation @ last.drive / factor, dtype=np.complex128)
-    acting = np.asarray(factor * (G @ effects.drive_excess(drive)), dtype=np.complex128)
+    acting = np.asarray(factor * (flow.G @ effects.drive_excess(drive, omega_rad_s)), dtype=np.complex128)
     return _sum_of(nonlinear, lambda p: np.asarray(effects.rate(p, drive) + acting, dtype=np.complex128), np.zeros(2, dtype=np.complex128))
