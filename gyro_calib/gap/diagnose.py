@@ -22,11 +22,11 @@ from .linear_device import linear_of
 from .model import CampaignModel, look_at
 from .next_experiment import next_experiment
 from .preflight import check_campaign, usable
-from .screen import Screened
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
 from .system import Solution
+from .told import told_sizes
 
 __all__ = ["diagnose"]
 
@@ -72,9 +72,7 @@ def diagnose(
     shrunk = shrinkage(model, chosen)
     report(0.93, "what else could be seen")
     lines = standings(model, selection, left_out)
-    effects = tuple(
-        _found(model, e, g, p, rich) for e, g, p in zip(selection.effects, selection.groups, selection.probabilities, strict=True)
-    )
+    effects = tuple(_found(model, selection, k, rich) for k in range(len(selection.effects)))
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
     unknown = _unknown(selection) or (None if effects else beside.unknown)
     verdict = _verdict(effects, unknown, lines)
@@ -123,49 +121,20 @@ def _factory(campaign: Campaign, name: str) -> float:
     return float(value)
 
 
-def _found(model: CampaignModel, e: Screened, group: tuple[str, ...], probability: float, rich: Solution) -> FoundEffect:
+def _found(model: CampaignModel, selection: Selection, k: int, rich: Solution) -> FoundEffect:
+    e = selection.effects[k]
     name = registry_name(e.name, e.candidate.setting)
-    effect = EFFECTS[name]
-    units = {p.name: p.unit for p in effect.parameters}
-    fitted = {c.name: k for k, c in enumerate(rich.columns)}
-    parameters = {
-        column.name: Quantity(float(rich.values[k]), math.sqrt(float(rich.covariance[k, k])), units.get(column.name, "1"))
-        for column in e.candidate.columns
-        if column.name in units or column.name == "share"
-        for k in (fitted[f"{e.name}.{column.name}"],)
-    }
-    for key, value in e.candidate.setting.items():
-        if key in units:
-            parameters[key] = Quantity(value, _setting_sd(model, e, key), units[key])
-    if e.name == "thermal_lag":
-        # a short lag is known by the product of the time that was tried and its share alone
-        share, tried = parameters.pop("share"), parameters["tau"]
-        parameters["tau"] = Quantity(share.value * tried.value, share.sd * tried.value, tried.unit)
     return FoundEffect(
         name=e.name,
         title=EFFECTS[e.name].title,
-        group=group,
-        probability=probability,
-        parameters=parameters,
-        location=effect.location,
+        group=selection.groups[k],
+        probability=selection.probabilities[k],
+        parameters=told_sizes(model, selection.effects, k, rich),
+        location=EFFECTS[name].location,
         registry_name=name,
         gain=e.gain,
         harmless=_harmless(model, rich),
     )
-
-
-def _setting_sd(model: CampaignModel, e: Screened, key: str) -> float:
-    """Half of the span of the settings of the grid that explain nearly as much."""
-    near = [
-        float(c.setting[key])
-        for c in model.candidates[e.name]
-        if (s := model.screener.screen(c)) is not None and s.log_evidence > e.log_evidence - 2.0
-    ]
-    grid = sorted({float(c.setting[key]) for c in model.candidates[e.name]})
-    here = float(e.candidate.setting[key])
-    beside = sorted(abs(other - here) for other in grid if other != here)
-    step = float(np.mean(beside[:2])) if beside else 0.0
-    return max(0.5 * (max(near, default=0.0) - min(near, default=0.0)), 0.3 * step)
 
 
 def _harmless(model: CampaignModel, rich: Solution) -> bool:

@@ -68,7 +68,8 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
         flow, extra, volts = device.slow_flow(rate_rad_s, omega_rad_s=omega), _nonlinear_forces(device, omega), None
         if effects is not None:
             flow = effects.flow(flow, omega)
-            extra = _with_effects(effects, extra, flow, omega, compensation, point, 1.0 if point is None else device.drive_factor(point.pick))
+            factor = 1.0 if point is None else device.drive_factor(point.pick)
+            extra = _with_effects(effects, extra, flow, omega, compensation, point, factor)
             volts = effects.true_volts(command.setpoints.amplitude_v * np.eye(2)["xy".index(axis)], omega)
         G, E = flow.G @ compensation, flow.E @ compensation
         point = ftr_operating_point(flow.A, G, E, command.setpoints.amplitude_v, axis, volts=volts, extra=extra)

@@ -1,0 +1,108 @@
+"""Sizes of an effect as they are told: with what one fit at one setting does not say of their standard deviations.
+
+A setting (a level, a time, a distance) is found by search: its sd is that of the chi-square's parabola about the best one, and the sizes
+that follow it are no better known. What a healthy device has of the same form is not told from the effect, and is part of the size.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS
+from ..quantity import Quantity
+from .candidates import registry_name
+from .model import CampaignModel
+from .screen import Screened, Screener
+from .system import Solution
+
+__all__ = ["told_sizes"]
+
+FloatArray = NDArray[np.float64]
+#: by how much one step of the search for a setting's sd may change it
+_LEAST, _MOST = 0.1, 3.0
+_STEPS = 3
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """Sd of a setting, and by how much the sizes change with it."""
+
+    sd: float
+    slope: FloatArray
+
+
+def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich: Solution) -> dict[str, Quantity]:
+    """Parameters of one of the effects found, the settings of what is not linear among them.
+
+    Parameters
+    ----------
+    model : CampaignModel
+    effects : tuple of Screened
+        All that were found.
+    k : int
+        Which of them.
+    rich : Solution
+        Fit with all of them.
+    """
+    e = effects[k]
+    units = {p.name: p.unit for p in EFFECTS[registry_name(e.name, e.candidate.setting)].parameters}
+    settled = {key: _settled(model, effects, k, key) for key in e.candidate.setting if key in units}
+    healthy = {c.name: c.prior_sd for c in model.nuisances if math.isfinite(c.prior_sd)}
+    fitted = {c.name: j for j, c in enumerate(rich.columns)}
+    told = {}
+    for j, column in enumerate(e.candidate.columns):
+        if column.name not in units and column.name != "share":
+            continue
+        place = fitted[f"{e.name}.{column.name}"]
+        parts = [math.sqrt(float(rich.covariance[place, place])), healthy.get(f"{e.name}.{column.name}", 0.0)]
+        if e.name != "thermal_lag":
+            parts += [float(s.slope[j]) * s.sd for s in settled.values() if s.slope.size]
+        told[column.name] = Quantity(float(rich.values[place]), math.hypot(*parts), units.get(column.name, "1"))
+    told |= {key: Quantity(float(e.candidate.setting[key]), s.sd, units[key]) for key, s in settled.items()}
+    if e.name == "thermal_lag":
+        # a short lag is known by the product of the time that was tried and its share alone
+        share, tried = told.pop("share"), told["tau"]
+        told["tau"] = Quantity(share.value * tried.value, share.sd * tried.value, tried.unit)
+    return told
+
+
+def _settled(model: CampaignModel, effects: tuple[Screened, ...], k: int, key: str) -> _Settled:
+    e = effects[k]
+    screener = model.screener_with([other.candidate for j, other in enumerate(effects) if j != k])
+    here, rough = float(e.candidate.setting[key]), _rough_sd(model, e, key)
+    middle = _at(model, screener, e, key, here)
+    step, found = min(rough, 0.5 * abs(here)), _Settled(rough, np.zeros(0))
+    for _ in range(_STEPS):
+        sides = [_at(model, screener, e, key, here + side * step) for side in (-1.0, 1.0)]
+        if middle is None or sides[0] is None or sides[1] is None or step == 0.0:
+            return found
+        bend = 2.0 * middle.gain - sides[0].gain - sides[1].gain
+        if bend <= 0.0:
+            # no parabola: a level between the amplitudes that were recorded
+            return found
+        sd = step * math.sqrt(2.0 / bend)
+        found = _Settled(sd, (sides[1].values - sides[0].values) / (2.0 * step))
+        step = float(np.clip(sd, _LEAST * step, min(_MOST * step, 0.5 * abs(here))))
+    return found
+
+
+def _at(model: CampaignModel, screener: Screener, e: Screened, key: str, value: float) -> Screened | None:
+    return screener.screen(model.candidate(e.name, {**e.candidate.setting, key: value}))
+
+
+def _rough_sd(model: CampaignModel, e: Screened, key: str) -> float:
+    """Half of the span of the settings of the grid that explain nearly as much."""
+    near = [
+        float(c.setting[key])
+        for c in model.candidates[e.name]
+        if (s := model.screener.screen(c)) is not None and s.log_evidence > e.log_evidence - 2.0
+    ]
+    grid = sorted({float(c.setting[key]) for c in model.candidates[e.name]})
+    here = float(e.candidate.setting[key])
+    beside = sorted(abs(other - here) for other in grid if other != here)
+    step = float(np.mean(beside[:2])) if beside else 0.0
+    return max(0.5 * (max(near, default=0.0) - min(near, default=0.0)), 0.3 * step)

@@ -1,0 +1,85 @@
+"""Sizes as they are told, against the truth over many draws: a share hangs on the time it is found at; a healthy part is not told."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from gyro_calib.gap.columns import Column
+from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.screen import Candidate, Screener
+from gyro_calib.gap.system import Whitener, solve
+from gyro_calib.gap.told import told_sizes
+
+ROWS, DRAWS, SIGMAS = 60, 200, 1.96
+T_S = np.linspace(0.0, 2.0, ROWS)
+WHITE = Whitener(((np.eye(ROWS), np.eye(ROWS)),))
+TIMES_S = (0.2, 0.5, 1.0, 2.0, 4.0)
+
+
+def column(name: str, values: np.ndarray, prior_sd: float = math.inf) -> Column:
+    return Column(name, (values.astype(complex),), (), prior_sd)
+
+
+class Toy:
+    """One recording whose rows are a constant and a memory ``share (1 - exp(-t/tau))``."""
+
+    def __init__(self, target: np.ndarray, healthy_sd: float = 0.0) -> None:
+        self.target = [target.astype(complex)]
+        healthy = [column("pickoff_memory.share", self.shape(1.0), healthy_sd)] if healthy_sd else []
+        self.nuisances = (column("one", np.ones(ROWS)), *healthy)
+        self.candidates = {"pickoff_memory": [self.candidate("pickoff_memory", {"tau": tau}) for tau in TIMES_S]}
+        self.screener = self.screener_with([])
+
+    @staticmethod
+    def shape(tau_s: float) -> np.ndarray:
+        return np.asarray(1.0 - np.exp(-T_S / tau_s))
+
+    def candidate(self, name: str, setting: Any) -> Candidate:
+        return Candidate(name, setting, (column("share", self.shape(setting["tau"])),), np.array([100.0]), len(TIMES_S))
+
+    def screener_with(self, candidates: list[Candidate]) -> Screener:
+        return Screener(WHITE, [*self.nuisances[:1], *(c for e in candidates for c in e.columns)], self.target)
+
+    def best(self) -> Candidate:
+        def left(tau_s: float) -> float:
+            found = self.screener.screen(self.candidate("pickoff_memory", {"tau": tau_s}))
+            return -found.gain if found is not None else 0.0
+
+        return self.candidate("pickoff_memory", {"tau": float(minimize_scalar(left, bounds=(0.2, 4.0), method="bounded").x)})
+
+
+def told(toy: Toy) -> dict[str, tuple[float, float]]:
+    best = toy.best()
+    effect = toy.screener.screen(best)
+    assert effect is not None
+    columns = [toy.nuisances[0], column("pickoff_memory.share", best.columns[0].signal[0].real)]
+    rich = solve(columns, WHITE.design(columns, 1), WHITE.rows(toy.target))
+    return {name: (q.value, q.sd) for name, q in told_sizes(cast(CampaignModel, toy), (effect,), 0, rich).items()}
+
+
+def test_intervals_of_a_share_and_its_time_hold_the_truth() -> None:
+    rng = np.random.default_rng(5)
+    truth = {"share": 80.0, "tau": 1.6}
+    hit, alone = dict.fromkeys(truth, 0), 0
+    for _ in range(DRAWS):
+        toy = Toy(truth["share"] * Toy.shape(truth["tau"]) + rng.standard_normal(ROWS))
+        found = told(toy)
+        for name, true in truth.items():
+            hit[name] += abs(found[name][0] - true) < SIGMAS * found[name][1]
+        at_one_time = toy.screener.screen(toy.best())
+        assert at_one_time is not None
+        alone += abs(found["share"][0] - truth["share"]) < SIGMAS * float(at_one_time.sd[0])
+    assert all(0.90 < count / DRAWS < 0.99 for count in hit.values()), hit
+    assert alone / DRAWS < 0.70  # at the time that was found, as if it were known
+
+
+def test_what_a_healthy_device_has_as_well_is_part_of_the_size() -> None:
+    rng = np.random.default_rng(6)
+    rows = 20.0 * Toy.shape(1.3) + rng.standard_normal(ROWS)
+    sd, with_healthy = told(Toy(rows))["share"][1], told(Toy(rows, healthy_sd=0.7))["share"][1]
+    assert with_healthy == pytest.approx(math.hypot(sd, 0.7), rel=1e-6)
