@@ -171,7 +171,10 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
     # an open drive is as steady as its generator, and where its resonance lay is a nuisance of its own: what is slow there is no noise
     waves = {r.role for r in evidence if r.is_wave}
     steady = {r.noise_key(channel) for r in evidence if r.role not in waves for channel in CHANNELS}
-    found = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady) for key in basis}
+    # a kind that the model follows at every line tells nothing of its noise: as it was believed
+    told = [key for key in basis if sum(len(s) for s in squares[key])]
+    fitted = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady) for key in told}
+    found = {key: fitted.get(key, noise[key]) for key in basis}
     parents = {r.role: r.parent_role for r in evidence}
     out = {}
     for (role, channel), law in found.items():
