@@ -159,6 +159,7 @@ def test_spurious_mode_answers_its_drive_as_a_resonance(plain: Device, part: str
 
 # ---------------------------------------------------------------- environment and time
 
+RAMP_K_S, LAG_S = 2.0, 0.3
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
     "thermal_damping_anisotropy": ({"c_c": 0.02, "c_s": 0.03}, lambda r: -WARM_K * r.p @ split(r, "c_c", "c_s")),
@@ -183,6 +184,20 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "rate_dependent_damping": ({"c": 0.5}, lambda r: -r.size["c"] * RATE * r.p),
     "angular_gain_error": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * r.p @ TURN.T),
     "rate_nonlinearity": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * abs(RATE) * r.p @ TURN.T),
+    "rate_asymmetry": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE**2 * r.p @ TURN.T),
+}
+
+
+def behind(r: Rows) -> ComplexArray:
+    """A ramp less itself through a low-pass that began with it."""
+    return np.asarray(RAMP_K_S * LAG_S * -np.expm1(-r.t / LAG_S)[:, None], dtype=complex)
+
+
+LATE: dict[str, tuple[dict[str, float], Form]] = {
+    "thermal_damping_lag": ({"c": 0.2}, lambda r: -r.size["c"] * behind(r) * r.p),
+    "thermal_split_lag": ({"k_c": 0.2, "k_s": 0.3}, lambda r: 1j * behind(r) * (r.p @ split(r, "k_c", "k_s"))),
+    "thermal_drive_gain_lag": ({"g_x": 0.02, "g_y": 0.03}, lambda r: r.force(behind(r) * by_axis(r, "g_x", "g_y") * r.u)),
+    "thermal_pickoff_gain_lag": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.reading(behind(r) * by_axis(r, "g_x", "g_y") * r.p)),
 }
 
 
@@ -206,6 +221,29 @@ def test_slow_flow_follows_surroundings_and_time_too(plain: Device, name: str) -
     around = surroundings(name)
     rows, before = measured(plain, {name: sizes}, fidelity="slow_flow", **around), measured(plain, {}, fidelity="slow_flow", **around)
     assert_form(rows, form(rows), 0.05, before.rest)
+
+
+@compiled_only
+@pytest.mark.parametrize(
+    ("name", "fidelity"),
+    # a reading whose gain changes is a motion to the slow flow, which knows the gain and not its change
+    [
+        (name, fidelity)
+        for name in LATE
+        for fidelity in ("carrier", "slow_flow")
+        if (name, fidelity) != ("thermal_pickoff_gain_lag", "slow_flow")
+    ],
+)
+def test_what_follows_a_temperature_late_is_its_closed_form_on_a_ramp(plain: Device, name: str, fidelity: str) -> None:
+    sizes, form = LATE[name]
+    # nothing but the effect follows the ramp
+    steady = replace(plain.resonator, frequency_tempco_per_k=0.0, quality_exponent=0.0)
+    warming = replace(plain, resonator=steady, environment=replace(plain.environment, ramp_k_per_s=RAMP_K_S))
+    rows, before = (measured(warming, e, settle_s=0.4, length_s=0.2, fidelity=fidelity) for e in ({name: sizes | {"tau": LAG_S}}, {}))
+    expected = form(rows)
+    assert np.abs(expected).max() > 1e-3
+    scale = np.abs(expected).max()
+    assert np.abs(rows.rest - before.rest - expected)[5:-5].max() / scale < 0.05
 
 
 @compiled_only
@@ -332,7 +370,7 @@ def test_gain_noise_grows_with_the_amplitude_and_is_in_phase_with_it(plain: Devi
 
 
 def test_every_effect_is_tested_here() -> None:
-    named = set(STATIC) | set(ENVIRONMENT) | {name.split()[0] for name in MEMORY}
+    named = set(STATIC) | set(ENVIRONMENT) | set(LATE) | {name.split()[0] for name in MEMORY}
     alone = {
         "drive_saturation", "drive_dead_zone", "pickoff_saturation", "coulomb_friction", "quadratic_damping", "spurious_mode",
         "thermal_lag", "external_tone", "mains_pickup", "pickoff_quantisation", "drive_quantisation", "amplitude_noise",

@@ -1,4 +1,8 @@
-"""Effects of temperature, time, rotation and vibration. T: above the resonator's reference; t: since the start; Omega: input rate."""
+"""Effects of temperature, time, rotation and vibration.
+
+T: above the resonator's reference, T_lp: the same through a first-order low-pass of time constant tau; t: since the start;
+Omega: input rate.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,9 @@ from ._short import BOTH, pair, positive, signed
 from .effect import Effect
 
 __all__ = ["ENVIRONMENT"]
+
+_LAG = positive("tau", "s", 20.0, 1e4, "time constant of what warms late", lower=0.1)
+_BEHIND = "(T - T_lp)"
 
 THERMAL = (
     Effect(
@@ -70,6 +77,34 @@ THERMAL = (
         ("temperature",), BOTH,
         "V_j += i g_j T V_j",
         ("thermal_drive_phase", "thermal_split"),
+    ),
+    Effect(
+        "thermal_damping_lag", "Damping that follows the temperature late: hysteresis of the quality factor", "environment", (28, 30),
+        (signed("c", "1/s/K", 0.002, 1.0, "decay rate per kelvin of the lag"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"p' += -c {_BEHIND} p",
+        ("thermal_damping", "damping_drift"),
+    ),
+    Effect(
+        "thermal_split_lag", "Frequency split of a device that is not warm throughout", "environment", (30,),
+        (*pair("k_c k_s", "rad/s/K", 0.003, 1.0, "half the split per kelvin of the lag, by axis (c) and across (s)"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"p' += i {_BEHIND} (k_c diag(1, -1) + k_s [[0, 1], [1, 0]]) p",
+        ("thermal_split", "split_drift", "charge_accumulation"),
+    ),
+    Effect(
+        "thermal_drive_gain_lag", "Drive gains that follow the temperature late", "environment", (29, 30),
+        (*pair("g_x g_y", "1/K", 2e-4, 0.05, "relative gain per kelvin of the lag"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"u_j += g_j {_BEHIND} u_j",
+        ("thermal_drive_gain", "thermal_damping_lag", "thermal_pickoff_gain_lag"),
+    ),
+    Effect(
+        "thermal_pickoff_gain_lag", "Pick-off gains that follow the temperature late", "environment", (29, 30),
+        (*pair("g_x g_y", "1/K", 2e-4, 0.05, "relative gain per kelvin of the lag"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"V_j += g_j {_BEHIND} V_j",
+        ("thermal_pickoff_gain", "thermal_drive_gain_lag"),
     ),
     Effect(
         "thermal_feedthrough", "Feedthrough that follows the temperature", "environment", (21,),
@@ -164,7 +199,14 @@ MOTION = (
         (signed("e", "s/rad", 1e-3, 1.0, "relative excess of the angular gain per rate"),),
         ("rate",), BOTH,
         "p' += -e kappa Omega |Omega| J p",
-        ("angular_gain_error",),
+        ("angular_gain_error", "rate_asymmetry"),
+    ),
+    Effect(
+        "rate_asymmetry", "Response to one sense of rotation larger than to the other", "environment", (42,),
+        (signed("e", "s/rad", 1e-3, 1.0, "relative excess of the angular gain per rate, signed"),),
+        ("rate",), BOTH,
+        "p' += -e kappa Omega^2 J p",
+        ("angular_gain_error", "rate_nonlinearity"),
     ),
     Effect(
         "external_tone", "Vibration or mains force at one frequency near the resonance", "environment", (37,),

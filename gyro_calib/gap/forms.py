@@ -188,6 +188,16 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
 
 
+def _behind(s: Signals, setting: Setting) -> ComplexArray:
+    """By how much the temperature is ahead of itself through a low-pass [K], shape (n, 1)."""
+    return np.asarray(_temperature(s) - remembered(s, _temperature, setting["tau"], steady=False))
+
+
+def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    late = _behind(s, setting)
+    return [read_at_once(f"g_{n}", s, d, lambda v, k=k: _only(late * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+
+
 def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
     p = _motion(s, d)
@@ -297,6 +307,9 @@ def _rate(s: Signals) -> FloatArray:
     return s.rate_rad_s
 
 
+#: time constants of what warms late
+_WARM_UP = _times(2.0, 100.0, 5)
+
 FORMS: dict[str, Form] = {
     # dynamics
     "duffing": _cubic("k", 1j, "duffing_axes"),
@@ -341,6 +354,10 @@ FORMS: dict[str, Form] = {
     "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
+    "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -_behind(s, g) * _velocity(s, d))], _WARM_UP),
+    "thermal_split_lag": Form(lambda s, d, g: _anisotropy("k", _behind(s, g) * _motion(s, d), 1j), _WARM_UP),
+    "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", _behind(s, g) * s.drive), _WARM_UP),
+    "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
     "thermal_feedthrough": _scaled_drive("output", "e", _warm, 1.0),
     "frequency_ageing": _stiffness("k", _late),
     "damping_drift": _damping("c", _late),
@@ -355,4 +372,5 @@ FORMS: dict[str, Form] = {
     "rate_nonlinearity": Form(
         lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * _turned(_motion(s, d)))]
     ),
+    "rate_asymmetry": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s**2)[:, None] * _turned(_motion(s, d)))]),
 }

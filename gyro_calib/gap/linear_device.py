@@ -31,8 +31,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
 
-#: curvature of the frequency [1/K^2]; a rate table's clock [s]
-_FREQUENCY_PER_K2, _TABLE_CLOCK_S = 1e-7, 1e-3
+#: curvature of the frequency [1/K^2]; a rate table's clock, and its lag behind what was commanded [s]
+_FREQUENCY_PER_K2, _TABLE_CLOCK_S, _TABLE_LAG_S = 1e-7, 1e-3, 2e-2
 #: reaction of the diagonal of A to rate over kappa
 _SKEWED_RATE = 0.05
 #: change of E over a relative distance of one from resonance, and its curvature, over E: a delay of some cycles of the carrier
@@ -80,9 +80,10 @@ def _shaken_at(frequency_hz: float) -> Callable[[RecordingEvidence], float]:
     return lambda r: float(_body(r) == frequency_hz)
 
 
-def _combined(first: tuple[int, int], second: tuple[int, int], sign: float) -> _Regressor:
-    """Sum or difference of two entries of the response to rate."""
-    return lambda r, p: p.rate_pick[:, first[0], first[1]] + sign * p.rate_pick[:, second[0], second[1]]
+def _combined(first: tuple[int, int], second: tuple[int, int], sign: float, field: str = "rate_pick") -> _Regressor:
+    """Sum or difference of two entries of the response to rate, or of another of the projected signals."""
+    one, other = _entry(field, *first), _entry(field, *second)
+    return lambda r, p: one(r, p) + sign * other(r, p)
 
 
 def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None, *, rate_known: bool = True) -> list[Column]:
@@ -135,6 +136,8 @@ def _ringing(evidence: CampaignEvidence, direction: ComplexArray) -> list[Column
 def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
     """Response of A to rate: its antisymmetric part is kappa, the rest is the pick-offs' mismatch and non-orthogonality."""
     columns = collected("rate_anti", evidence, _combined((0, 1), (1, 0), -1.0), _KAPPA if known else np.inf)
+    # a motor takes its time
+    columns += collected("table_lag", evidence, _combined((0, 1), (1, 0), -1.0, "jerk"), _TABLE_LAG_S, real=True)
     for name, f in (
         ("rate_mismatch", _combined((0, 1), (1, 0), 1.0)),
         ("rate_sum", _combined((0, 0), (1, 1), 1.0)),
@@ -149,7 +152,7 @@ def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
 
 
 def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
-    """A step of the table as the recorder's filter blurs it: to second order its curvature times half the filter's second moment."""
+    """A step of the table as its motor and the recorder's filter round it: to second order its curvature times half the second moment."""
     sides = []
     for place in (SIGNAL, QUIET):
         vectors = []
@@ -161,7 +164,7 @@ def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
             )
         sides.append(tuple(vectors))
     row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
-    return [Column("table_blur", sides[0], sides[1], ROW_MOMENT * row_s**2)]
+    return [Column("table_blur", sides[0], sides[1], ROW_MOMENT * row_s**2 + _TABLE_LAG_S**2)]
 
 
 def target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:

@@ -11,7 +11,7 @@ millikelvins are noise, not effects.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +21,14 @@ from .columns import Column
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
 from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
+from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Whitener, solve
 
 __all__ = ["first_noise", "measured_noise"]
 
 ComplexArray = NDArray[np.complex128]
 Key = tuple[str, str]
+Bases = dict[Key, list[NDArray[np.float64]]]
 #: by how much the noise of a recording's channel is larger than that of its kind
 Excess = dict[tuple[int, str], float]
 _ROUNDS = 5
@@ -40,8 +42,9 @@ _LEAST_FREEDOM = 0.3
 _FALLING = ("ring_down", "ring_up")
 #: how far the drive gains may be from those of a fit without effects, sd over the largest of them
 _GAIN_SHARE = 0.01
-#: noise of the saturated model over that of one without effects, in power, at least
-_FLOOR = 0.3
+#: noise of the saturated model over that of one without effects, in power, at least: of all recordings, and of those in which nothing is
+#: commanded to change, of which an effect moves but the mean, from so many squares on
+_FLOOR, _STEADY_FLOOR, _FEWEST_SQUARES = 0.3, 0.75, 40
 #: differences between repeated records that say how much their means differ by
 _FEWEST_REPEATS = 4
 
@@ -65,15 +68,21 @@ def measured_noise(
     """Noise by role and channel, from what the saturated model leaves at quiet and at signal lines; and recordings that are louder.
 
     ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show. ``plain``: a model without
-    effects. The saturated model keeps near its drive gains, and its noise does not fall far below that one's: in a closed loop the drive
-    is the controller's answer to the pick-off, noise and all. With gains and effects of the read-out free against each other, as one
-    amplitude or one axis leaves them, that law explains the noise itself, and the less there is left the more it weighs.
+    effects. The saturated model keeps near its drive gains, and its noise does not fall far below that one's, least where nothing was
+    commanded to change: in a closed loop the drive is the controller's answer to the pick-off, noise and all. With gains and effects of
+    the read-out free against each other, as one amplitude or one axis leaves them, that law explains the noise itself, and the less there
+    is left the more it weighs.
     """
     whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
     target, floor = whole, {}
     if plain:
         noise, solution = _iterated(evidence, plain, whole, quiet, {})
         floor = {key: law.floor(_FLOOR) for key, law in noise.items()}
+        steady = _steady(evidence, solution, noise, quiet)
+        parents = {r.role: r.parent_role for r in evidence}
+        for role, channel in noise:
+            if (law := steady.get((parents.get(role, role), channel))) is not None:
+                floor[role, channel] = law.floor(_STEADY_FLOOR)
         saturated, target, quiet = _held(saturated, solution.by_name(), whole, quiet)
     noise, solution = _iterated(evidence, saturated, target, quiet, floor)
     noise = _with_repeats(evidence, solution, noise, target)
@@ -151,12 +160,21 @@ def _parts(evidence: CampaignEvidence) -> Iterator[tuple[int, RecordingEvidence,
         first += 4 * half
 
 
-def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]) -> NoiseByRole:
-    basis: dict[Key, list[NDArray[np.float64]]] = defaultdict(list)
-    squares: dict[Key, list[NDArray[np.float64]]] = defaultdict(list)
+def _squares(
+    evidence: CampaignEvidence,
+    solution: Solution,
+    noise: NoiseByRole,
+    quiet: Sequence[ComplexArray],
+    wanted: Callable[[RecordingEvidence], bool] = lambda r: True,
+) -> tuple[Bases, Bases]:
+    """What a solution leaves at signal lines and at quiet ones, squared and corrected for its leverage, with the densities' terms there."""
+    basis: Bases = defaultdict(list)
+    squares: Bases = defaultdict(list)
     freedom = np.clip(1.0 - np.sum(solution.basis**2, axis=1), 1e-9, 1.0)
     left = [q - np.stack([c.quiet[k] for c in solution.columns], axis=1) @ solution.values for k, q in enumerate(quiet)]
     for k, r, part, side, channel, rows in _parts(evidence):
+        if not wanted(r):
+            continue
         key, lines = r.noise_key(channel), r.lines(channel)
         kept = freedom[rows] > _LEAST_FREEDOM
         basis[key].append(lines.basis()[kept])
@@ -168,6 +186,11 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
         values = left[k][side * count : (side + 1) * count]
         basis[key].append(r.lines(channel, quiet=True).basis())
         squares[key].append((values.real if part == 0 else values.imag) ** 2)
+    return basis, squares
+
+
+def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]) -> NoiseByRole:
+    basis, squares = _squares(evidence, solution, noise, quiet)
     # an open drive is as steady as its generator, and where its resonance lay is a nuisance of its own: what is slow there is no noise
     waves = {r.role for r in evidence if r.is_wave}
     steady = {r.noise_key(channel) for r in evidence if r.role not in waves for channel in CHANNELS}
@@ -181,6 +204,22 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
         parent = found.get((parents.get(role, role), channel))
         out[role, channel] = law if parent is None or parent is law else law.not_below(parent)
     return out
+
+
+def _steady(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]) -> dict[Key, NoiseLaw]:
+    """Noise of recordings in which nothing is commanded to change, beside their means."""
+    basis, squares = _squares(evidence, solution, noise, quiet, _is_steady)
+    return {
+        key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]))
+        for key in basis
+        if sum(len(s) for s in squares[key]) >= _FEWEST_SQUARES
+    }
+
+
+def _is_steady(r: RecordingEvidence) -> bool:
+    command = r.recording.command
+    changes = command.excitation.kind != "none" or command.setpoints.virtual_precession_v != 0.0 or command.mode in SWITCHED
+    return r.is_wave and not (changes or r.is_warming or "applied_rate" in r.recording.extras)
 
 
 def _tamed(noise: NoiseByRole, waves: set[str]) -> NoiseByRole:

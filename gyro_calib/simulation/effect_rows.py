@@ -20,9 +20,11 @@ ComplexArray = NDArray[np.complex128]
 SLOW_EFFECTS = frozenset(
     (
         "thermal_damping", "thermal_damping_anisotropy", "thermal_frequency_curvature", "thermal_split", "thermal_lag",
+        "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
         "pickoff_gain_drift", "centrifugal_stiffness", "rate_dependent_damping", "angular_gain_error", "rate_nonlinearity",
+        "rate_asymmetry",
     )
 )  # fmt: skip
 
@@ -49,7 +51,7 @@ class SlowTerms:
 
 
 class SlowEffects:
-    """Slow effects of a device; keeps the temperature that lags from call to call.
+    """Slow effects of a device; keeps the temperatures that lag from call to call.
 
     Parameters
     ----------
@@ -62,7 +64,7 @@ class SlowEffects:
         self._effects = device.effects
         self._row_s = 1.0 / device.electronics.sample_rate_hz
         self._rows_made = 0
-        self._lagged_k: float | None = None
+        self._lagged_k: dict[str, float] = {}
 
     def terms(self, rate_rad_s: FloatArray, temperature_degc: FloatArray) -> SlowTerms:
         """Terms of the next rows; each is taken at its middle."""
@@ -89,34 +91,40 @@ class SlowEffects:
         same = self._size("thermal_frequency_curvature", "k") * rise**2
         same = same + self._size("frequency_ageing", "k") * t + self._size("centrifugal_stiffness", "k") * rate**2
         split = self._pair("thermal_split", "k_c", "k_s", rise) + self._pair("split_drift", "k_c", "k_s", t)
+        split = split + self._pair("thermal_split_lag", "k_c", "k_s", self._behind("thermal_split_lag", rise))
         if "charge_accumulation" in self._effects:
             charged = -np.expm1(-t / self._size("charge_accumulation", "tau"))
             same = same + self._size("charge_accumulation", "k_0") * charged
             split = split + self._pair("charge_accumulation", "k_c", "k_s", charged)
-        if self._size("thermal_lag", "tau") > 0.0:
-            r = self._device.resonator
-            same = same + r.frequency_tempco_per_k * r.omega0_rad_s * (self._lagged(rise) - rise)
+        r = self._device.resonator
+        same = same - r.frequency_tempco_per_k * r.omega0_rad_s * self._behind("thermal_lag", rise)
         return _symmetric(same, split)
 
     def _damping(self, t: FloatArray, rise: FloatArray, rate: FloatArray) -> FloatArray:
         same = self._size("thermal_damping", "c") * rise + self._size("damping_drift", "c") * t
         same = same + self._size("rate_dependent_damping", "c") * rate
+        same = same + self._size("thermal_damping_lag", "c") * self._behind("thermal_damping_lag", rise)
         excess = self._size("angular_gain_error", "e") + self._size("rate_nonlinearity", "e") * np.abs(rate)
+        excess = excess + self._size("rate_asymmetry", "e") * rate
         turn = excess * self._device.resonator.angular_gain * rate
         return np.asarray(_symmetric(same, self._pair("thermal_damping_anisotropy", "c_c", "c_s", rise)) + turn[:, None, None] * J)
 
     def _factor(self, chain: str, t: FloatArray, rise: FloatArray) -> ComplexArray:
         gain = 1.0 + self._pair(f"thermal_{chain}_gain", "g_x", "g_y", rise) + self._pair(f"{chain}_gain_drift", "g_x", "g_y", t)
+        late = f"thermal_{chain}_gain_lag"
+        gain = gain + self._pair(late, "g_x", "g_y", self._behind(late, rise))
         phase = self._pair(f"thermal_{chain}_phase", "g_x", "g_y", rise) + self._pair(f"{chain}_phase_drift", "g_x", "g_y", t)
         return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
 
-    def _lagged(self, rise: FloatArray) -> FloatArray:
-        """The temperature through the low-pass; it starts where the thermometer does."""
-        start = float(rise[0]) if self._lagged_k is None else self._lagged_k
-        keep = math.exp(-self._row_s / self._size("thermal_lag", "tau"))
+    def _behind(self, effect: str, rise: FloatArray) -> FloatArray:
+        """By how much the temperature is ahead of itself through an effect's low-pass; it starts where the thermometer does."""
+        if self._size(effect, "tau") <= 0.0:
+            return np.zeros_like(rise)
+        start = self._lagged_k.get(effect, float(rise[0]))
+        keep = math.exp(-self._row_s / self._size(effect, "tau"))
         lagged, _ = lfilter([1.0 - keep], [1.0, -keep], rise, zi=[keep * start])
-        self._lagged_k = float(lagged[-1])
-        return np.asarray(lagged)
+        self._lagged_k[effect] = float(lagged[-1])
+        return np.asarray(rise - lagged)
 
 
 def add_to_carrier(
