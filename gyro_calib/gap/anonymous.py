@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .columns import form_columns
 from .evidence import CampaignEvidence
-from .forms import FORMS, conjugate_product
+from .forms import FORMS, behind, conjugate_product
 from .memory import remembered
 from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
@@ -112,6 +112,15 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ],
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
     ("dT/dt x", "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
+    ("(T - T of 20 s before) x", "temperature"): [lambda s, x: behind(s, 20.0) * x],
+    ("(T - T of 20 s before) x, other on each axis", "temperature"): [
+        lambda s, x: behind(s, 20.0) * _axis(x, 0),
+        lambda s, x: behind(s, 20.0) * _axis(x, 1),
+    ],
+    ("(T - T of 20 s before) x, crossed", "temperature"): [
+        lambda s, x: behind(s, 20.0) * _axis(x[:, ::-1], 0),
+        lambda s, x: behind(s, 20.0) * _axis(x[:, ::-1], 1),
+    ],
     ("t x", "time"): [_by(lambda s: s.time_s)],
     ("t x, other on each axis", "time"): [lambda s, x: s.time_s[:, None] * _axis(x, 0), lambda s, x: s.time_s[:, None] * _axis(x, 1)],
     ("t x, crossed", "time"): [
@@ -124,6 +133,10 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: s.rate_rad_s[:, None] * _axis(x[:, ::-1], 1),
     ],
     ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
+    ("Omega^2 x, crossed", "rate"): [
+        lambda s, x: (s.rate_rad_s**2)[:, None] * _axis(x[:, ::-1], 0),
+        lambda s, x: (s.rate_rad_s**2)[:, None] * _axis(x[:, ::-1], 1),
+    ],
     ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
     ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],
     ("x of 0.1 s before", "speed of change"): [lambda s, x: _late(s, x, 0.1)],

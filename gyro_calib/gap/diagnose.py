@@ -17,7 +17,7 @@ from ..units import DEG_H, PPM
 from .candidates import registry_name
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .gap_map import gap_map
-from .heldout import Shrinkage, shrinkage
+from .heldout import Shrinkage, halves_disagree, shrinkage
 from .linear_device import linear_of
 from .model import CampaignModel, look_at
 from .next_experiment import next_experiment
@@ -74,7 +74,7 @@ def diagnose(
     lines = standings(model, selection, left_out)
     effects = tuple(_found(model, selection, k, rich) for k in range(len(selection.effects)))
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
-    unknown = _unknown(selection) or (None if effects else beside.unknown)
+    unknown = _unknown(selection) or (None if effects else beside.unknown) or _not_of_its_form(model, selection, shrunk)
     verdict = _verdict(effects, unknown, lines)
     following = next_experiment(model, selection, lines)
     report(1.0, "done")
@@ -187,6 +187,16 @@ def _unknown(selection: Selection) -> Unknown | None:
         return None
     term = selection.stranger.term
     return Unknown(term.location, term.phase, term.form, term.depends_on, selection.stranger.nearest, selection.stranger.screened.gain)
+
+
+def _not_of_its_form(model: CampaignModel, selection: Selection, shrunk: Shrinkage) -> Unknown | None:
+    """What looks like an effect but makes unseen experiments worse, because its size is another there."""
+    if not selection.effects or shrunk.after < shrunk.before or not halves_disagree(model, [e.candidate for e in selection.effects]):
+        return None
+    first = selection.effects[0]
+    location = EFFECTS[registry_name(first.name, first.candidate.setting)].location
+    form = f"{first.name}, but by another amount in other experiments"
+    return Unknown(location, "phase not told", form, "experiment", first.name, first.gain)
 
 
 def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:

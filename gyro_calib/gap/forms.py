@@ -18,7 +18,7 @@ from .memory import remembered
 from .parts import SKEW, Form, Kind, Linear, Part, Setting, read_at_once
 from .signals import Signals
 
-__all__ = ["FORMS", "conjugate_product", "cube"]
+__all__ = ["FORMS", "behind", "conjugate_product", "cube"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -188,13 +188,13 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
 
 
-def _behind(s: Signals, setting: Setting) -> ComplexArray:
+def behind(s: Signals, tau_s: float) -> ComplexArray:
     """By how much the temperature is ahead of itself through a low-pass [K], shape (n, 1)."""
-    return np.asarray(_temperature(s) - remembered(s, _temperature, setting["tau"], steady=False))
+    return np.asarray(_temperature(s) - remembered(s, _temperature, tau_s, steady=False))
 
 
 def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    late = _behind(s, setting)
+    late = behind(s, setting["tau"])
     return [read_at_once(f"g_{n}", s, d, lambda v, k=k: _only(late * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
 
 
@@ -354,9 +354,9 @@ FORMS: dict[str, Form] = {
     "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
-    "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -_behind(s, g) * _velocity(s, d))], _WARM_UP),
-    "thermal_split_lag": Form(lambda s, d, g: _anisotropy("k", _behind(s, g) * _motion(s, d), 1j), _WARM_UP),
-    "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", _behind(s, g) * s.drive), _WARM_UP),
+    "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * _velocity(s, d))], _WARM_UP),
+    "thermal_split_lag": Form(lambda s, d, g: _anisotropy("k", behind(s, g["tau"]) * _motion(s, d), 1j), _WARM_UP),
+    "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", behind(s, g["tau"]) * s.drive), _WARM_UP),
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
     "thermal_feedthrough": _scaled_drive("output", "e", _warm, 1.0),
     "frequency_ageing": _stiffness("k", _late),

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from .columns import Column
 from .model import CampaignModel
@@ -20,7 +21,10 @@ from .saturated import effect_columns
 from .screen import Candidate, Screener
 from .system import Whitener, solve
 
-__all__ = ["Shrinkage", "halves", "shrinkage"]
+__all__ = ["Shrinkage", "halves", "halves_disagree", "shrinkage"]
+
+#: chance that halves of one device disagree by more
+_BY_CHANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,8 @@ def shrinkage(model: CampaignModel, chosen: Sequence[Candidate]) -> Shrinkage:
     for train in halves(model):
         part = _Part(model, train)
         sizes = part.sizes(chosen)
-        plain_whole, plain_part = whole.chi2(chosen, None), part.chi2(chosen, None)
-        rich_whole, rich_part = whole.chi2(chosen, sizes), part.chi2(chosen, sizes)
+        plain_whole, plain_part = whole.chi_square(chosen, None), part.chi_square(chosen, None)
+        rich_whole, rich_part = whole.chi_square(chosen, sizes), part.chi_square(chosen, sizes)
         before += plain_whole[0] - plain_part[0]
         after += rich_whole[0] - rich_part[0]
         dof += plain_whole[1] - plain_part[1]
@@ -98,6 +102,18 @@ def shrinkage(model: CampaignModel, chosen: Sequence[Candidate]) -> Shrinkage:
         for side in ([u.before for u in gains if u.has_rate], [u.after for u in gains if u.has_rate])
     ]
     return Shrinkage(before / max(dof, 1), after / max(dof, 1), dof, closed, sd, labels, rates[0], rates[1])
+
+
+def halves_disagree(model: CampaignModel, chosen: Sequence[Candidate]) -> bool:
+    """Whether the sizes that each half tells differ by more than their uncertainty: then the form is not that of what is there."""
+    (one, one_var), (other, other_var) = (_Part(model, train).told(chosen) for train in halves(model))
+    variance = one_var + other_var
+    told = np.diag(variance) > 0.0
+    scale = np.sqrt(np.diag(variance)[told])
+    values, axes = np.linalg.eigh(variance[np.ix_(told, told)] / np.outer(scale, scale))
+    kept = values > 1e-6 * values[-1]
+    apart = (axes.T @ ((one - other)[told] / scale))[kept] ** 2 / values[kept]
+    return bool(chi2.sf(float(np.sum(apart)), int(kept.sum())) < _BY_CHANCE)
 
 
 @dataclass(frozen=True)
@@ -125,9 +141,14 @@ class _Part:
 
     def sizes(self, chosen: Sequence[Candidate]) -> np.ndarray:
         """Sizes of the effects as these recordings say."""
+        return self.told(chosen)[0]
+
+    def told(self, chosen: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes of the effects as these recordings say, and their covariance."""
         columns = [*self.nuisances, *(self._kept(c) for c in effect_columns(chosen))]
         solution = solve(columns, self.whitener.design(columns, len(self.indices)), self.whitener.rows(self.target))
-        return solution.values[len(self.nuisances) :]
+        first = len(self.nuisances)
+        return solution.values[first:], solution.covariance[first:, first:]
 
     def _less(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> list[np.ndarray]:
         if sizes is None:
@@ -138,7 +159,7 @@ class _Part:
             for k, t in zip(self.indices, self.target, strict=True)
         ]
 
-    def chi2(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> tuple[float, int]:
+    def chi_square(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> tuple[float, int]:
         """Chi-square of the nuisances' fit with the effects at given sizes, and its degrees of freedom."""
         screener = Screener(self.whitener, self.nuisances, self._less(chosen, sizes))
         return screener.chi2, screener.dof

@@ -27,8 +27,10 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-#: temperature coefficients of healthy devices, sd [1/K]: gains, their differences and phases; damping relative; all small against 1
+#: temperature coefficients of healthy devices, sd [1/K]: gains and phases of both axes; damping relative; all small against 1
 _GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e-5, 5e-3
+#: of one axis by itself over those of both, which are of one design
+_UNLIKE_PER_K = 0.15
 #: relative curvature of the damping [1/K^2]
 _DAMPING_PER_K2 = 3e-5
 #: a record that is late by some samples of the converters [s]
@@ -115,8 +117,15 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         ("thermal_pickoff_gain", _GAIN_PER_K),
         ("thermal_pickoff_phase", _PICKOFF_PHASE_PER_K),
     ):
-        columns += _form(evidence, linear, name, {"g_x": size, "g_y": size})
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * size))
+        columns += _of_both(evidence, linear, name, size)
     return columns + _gradient_columns(evidence, linear, sd)
+
+
+def _of_both(evidence: CampaignEvidence, linear: Linear, name: str, sd: float) -> list[Column]:
+    """What both axes have alike of an effect by axis: no effect takes its place."""
+    by_recording = [[replace(part, parameter=f"both_{name}") for part in FORMS[name].parts(r.signals, linear, {})] for r in evidence]
+    return [replace(c, prior_sd=sd) for c in part_columns(evidence, by_recording, linear)]
 
 
 def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: float) -> list[Column]:

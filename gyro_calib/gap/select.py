@@ -44,7 +44,7 @@ _PAIRED = 8
 _LEFT_SHARE, _LEFT_SIGMA = 0.04, 6.0
 #: how much better an anonymous term must be than the registry
 _BETTER = 12.0
-#: log evidence that a hundred and seventy or so anonymous terms may reach by chance beyond what fifty named ones do
+#: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do
 _BANK_MARGIN = 7.0
 #: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
 _PRICE = 3.4

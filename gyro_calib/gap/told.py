@@ -75,7 +75,8 @@ def _settled(model: CampaignModel, effects: tuple[Screened, ...], k: int, key: s
     screener = model.screener_with([other.candidate for j, other in enumerate(effects) if j != k])
     here, rough = float(e.candidate.setting[key]), _rough_sd(model, e, key)
     middle = _at(model, screener, e, key, here)
-    step, found = min(rough, 0.5 * abs(here)), _Settled(rough, np.zeros(0))
+    step, unbent = min(rough, 0.5 * abs(here)), _Settled(rough, np.zeros(0))
+    found = unbent
     for _ in range(_STEPS):
         sides = [_at(model, screener, e, key, here + side * step) for side in (-1.0, 1.0)]
         if middle is None or sides[0] is None or sides[1] is None or step == 0.0:
@@ -85,6 +86,9 @@ def _settled(model: CampaignModel, effects: tuple[Screened, ...], k: int, key: s
             # no parabola: a level between the amplitudes that were recorded
             return found
         sd = step * math.sqrt(2.0 / bend)
+        if sd > abs(here):
+            # nor is one where another setting of another size does as well
+            return unbent
         found = _Settled(sd, (sides[1].values - sides[0].values) / (2.0 * step))
         step = float(np.clip(sd, _LEAST * step, min(_MOST * step, 0.5 * abs(here))))
     return found
