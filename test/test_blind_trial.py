@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_gap_memory import chain
 
 from gyro_calib.cli.main import main
 from gyro_calib.effects import EFFECTS, checked_sizes
 from gyro_calib.errors import DataError
 from gyro_calib.experiments.plan import Plan
+from gyro_calib.gap.forms import FORMS
 from gyro_calib.jit import COMPILED
 from gyro_calib.trial import run, scores
 from gyro_calib.trial.baselines import BASELINES, lasso
@@ -21,6 +23,7 @@ from gyro_calib.trial.labels import LADDER, STRATA, Label, Seal, draw_trials, re
 from gyro_calib.trial.plans import POOR, campaign_plan, poor_plan
 from gyro_calib.trial.plant import record_unit, with_effects
 from gyro_calib.trial.run import TrialLog
+from gyro_calib.trial.sizing import _linear_parameters
 from gyro_calib.trial.trial import Outcome, Prepared, run_trial
 from gyro_calib.trial.units import draw_trial_unit
 from gyro_calib.trial.verdicts import Found, Verdict
@@ -133,6 +136,14 @@ def test_poor_plans_lack_what_they_say(kind: str) -> None:
 
 
 # -- gates -----------------------------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_form_has_as_a_setting_is_not_drawn_as_a_size() -> None:
+    signals = chain()
+    for name, form in FORMS.items():
+        settings = {key for setting in form.settings(signals) for key in setting} & {p.name for p in EFFECTS[name].parameters}
+        if "level" not in settings and name != "thermal_lag":  # tried as its own size, and at times
+            assert not settings & set(_linear_parameters(name)), name
 
 
 def test_intervals_of_a_share() -> None:

@@ -26,6 +26,17 @@ FloatArray = NDArray[np.float64]
 _MOST_TYPICAL = 10.0
 #: share of the damping that may come or go by the temperature: a resonator with none does not hold still
 _MOST_DAMPING = 0.5
+#: effects whose time is a setting of their form
+_WITH_TIMES = (
+    "relaxation",
+    "drive_memory",
+    "pickoff_memory",
+    "charge_accumulation",
+    "thermal_damping_lag",
+    "thermal_split_lag",
+    "thermal_drive_gain_lag",
+    "thermal_pickoff_gain_lag",
+)
 #: parameters that a form has as a setting are drawn about their typical value, by this factor at most
 _SETTING_SPREAD = 2.5
 _LEVELS = 24
@@ -156,9 +167,13 @@ def _behind(model: CampaignModel, signal: FloatArray, columns: Sequence[object])
 
 def _linear_parameters(name: str) -> tuple[str, ...]:
     """Parameters that the form is linear in."""
-    nonlinear = {"relaxation": {"tau"}, "drive_memory": {"tau"}, "pickoff_memory": {"tau"}, "charge_accumulation": {"tau"}}
-    nonlinear["spurious_mode"] = {"separation_hz", "half_width_hz"}
-    return tuple(p.name for p in EFFECTS[name].parameters if p.name not in nonlinear.get(name, set()))
+    if name == "spurious_mode":
+        settings = {"separation_hz", "half_width_hz"}
+    elif name in _WITH_TIMES:
+        settings = {"tau"}
+    else:
+        settings = set()
+    return tuple(p.name for p in EFFECTS[name].parameters if p.name not in settings)
 
 
 def _about(typical: float, rng: np.random.Generator) -> float:
