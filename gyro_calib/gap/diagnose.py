@@ -19,6 +19,7 @@ from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, U
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage
 from .linear_device import linear_of
+from .loud import loudest
 from .model import CampaignModel, look_at
 from .next_experiment import next_experiment
 from .preflight import check_campaign, usable
@@ -75,10 +76,13 @@ def diagnose(
     effects = tuple(_found(model, selection, k, rich) for k in range(len(selection.effects)))
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
     unknown = _unknown(selection) or (None if effects else beside.unknown) or _not_of_its_form(model, selection, shrunk)
+    if (loud := loudest(model)) is not None:
+        warnings = [*warnings, loud.warning()]
+        unknown = unknown or (None if effects else loud.unknown())
     verdict = _verdict(effects, unknown, lines)
     following = next_experiment(model, selection, lines)
     report(1.0, "done")
-    none, something = _probabilities(selection, beside)
+    none, something = _probabilities(selection, beside, unknown)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
@@ -214,9 +218,9 @@ def _in_order(lines: tuple[Standing, ...]) -> tuple[Standing, ...]:
     return tuple(sorted(lines, key=lambda s: rank.get(s.status.split()[0], 2)))
 
 
-def _probabilities(selection: Selection, beside: SpectralEffects) -> tuple[float, float]:
+def _probabilities(selection: Selection, beside: SpectralEffects, unknown: Unknown | None) -> tuple[float, float]:
     """Of none, and of something unnamed."""
-    if selection.stranger is not None or (beside.unknown is not None and not selection.effects):
+    if unknown is not None:
         return 0.005, 0.9
     found = [*selection.probabilities, *(e.probability for e in beside.effects)]
     if found:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,8 @@ class CampaignModel:
     bank: Sequence[tuple[Anonymous, Candidate]]
     screener: Screener
     base: Solution
+    #: by how much the noise of a recording's channel is larger than that of its kind, by index and channel
+    excess: Mapping[tuple[int, str], float] = field(default_factory=dict)
 
     def candidate(self, name: str, setting: Setting) -> Candidate:
         """An effect at another setting than those of its grid."""
@@ -141,7 +143,8 @@ def look_at(
     nuisances = with_shares([*held, *slow_columns(evidence, linear, most * shares["shift"])], family, shares)
     base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))
     report(1.0, "noise")
-    return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, bank, Screener(whitener, nuisances, target), base)
+    screener = Screener(whitener, nuisances, target)
+    return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, bank, screener, base, excess)
 
 
 def _random_shares(

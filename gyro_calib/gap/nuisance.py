@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 #: temperature coefficients of healthy devices, sd [1/K]: gains and phases of both axes; damping relative; all small against 1
 _GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e-5, 5e-3
-#: of one axis by itself over those of both, which are of one design
+#: gain of one axis by itself over that of both, which are of one design
 _UNLIKE_PER_K = 0.15
 #: relative curvature of the damping [1/K^2]
 _DAMPING_PER_K2 = 3e-5
@@ -111,14 +111,11 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     sd = _DAMPING_PER_K * float(np.abs(linear.A.real - np.eye(2) * np.trace(linear.A).real / 2.0).max()) + 1e-3 * damping * _DAMPING_PER_K
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
     columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
-    for name, size in (
-        ("thermal_drive_gain", _GAIN_PER_K),
-        ("thermal_drive_phase", _PHASE_PER_K),
-        ("thermal_pickoff_gain", _GAIN_PER_K),
-        ("thermal_pickoff_phase", _PICKOFF_PHASE_PER_K),
-    ):
-        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * size))
-        columns += _of_both(evidence, linear, name, size)
+    for name in ("thermal_drive_gain", "thermal_pickoff_gain"):
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * _GAIN_PER_K))
+        columns += _of_both(evidence, linear, name, _GAIN_PER_K)
+    for name, size in (("thermal_drive_phase", _PHASE_PER_K), ("thermal_pickoff_phase", _PICKOFF_PHASE_PER_K)):
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), size))
     return columns + _gradient_columns(evidence, linear, sd)
 
 
