@@ -54,6 +54,8 @@ class CampaignModel:
     screener : Screener
         Against the nuisances alone.
     base : Solution
+    excess : mapping
+        By how much the noise of a recording's channel is larger than that of its kind, by index and channel.
     """
 
     evidence: CampaignEvidence
@@ -65,7 +67,6 @@ class CampaignModel:
     bank: Sequence[tuple[Anonymous, Candidate]]
     screener: Screener
     base: Solution
-    #: by how much the noise of a recording's channel is larger than that of its kind, by index and channel
     excess: Mapping[tuple[int, str], float] = field(default_factory=dict)
 
     def candidate(self, name: str, setting: Setting) -> Candidate:
