@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -81,12 +81,14 @@ def halves(model: CampaignModel) -> tuple[list[int], list[int]]:
 def shrinkage(model: CampaignModel, chosen: Sequence[Candidate]) -> Shrinkage:
     """Predict each half from the other, without and with the effects."""
     whole = _Part(model, range(len(model.evidence)))
+    # what a half cannot tell it must not guess at: a size is believed to be of the order that all experiments say
+    order = np.abs(whole.told(chosen)[0]) if chosen else None
     before = after = 0.0
     dof = 0
     gains: list[_Unseen] = []
     for train in halves(model):
         part = _Part(model, train)
-        sizes = part.sizes(chosen)
+        sizes = part.told(chosen, order)[0]
         plain_whole, plain_part = whole.chi_square(chosen, None), part.chi_square(chosen, None)
         rich_whole, rich_part = whole.chi_square(chosen, sizes), part.chi_square(chosen, sizes)
         before += plain_whole[0] - plain_part[0]
@@ -139,13 +141,12 @@ class _Part:
     def _kept(self, c: Column) -> Column:
         return Column(c.name, tuple(c.signal[k] for k in self.indices), (), c.prior_sd)
 
-    def sizes(self, chosen: Sequence[Candidate]) -> np.ndarray:
-        """Sizes of the effects as these recordings say."""
-        return self.told(chosen)[0]
-
-    def told(self, chosen: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes of the effects as these recordings say, and their covariance."""
-        columns = [*self.nuisances, *(self._kept(c) for c in effect_columns(chosen))]
+    def told(self, chosen: Sequence[Candidate], order: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Sizes of the effects as these recordings say, and their covariance; ``order``: sd that they are believed to have beforehand."""
+        effects = [self._kept(c) for c in effect_columns(chosen)]
+        if order is not None:
+            effects = [replace(c, prior_sd=min(c.prior_sd, max(float(sd), 1e-300))) for c, sd in zip(effects, order, strict=True)]
+        columns = [*self.nuisances, *effects]
         solution = solve(columns, self.whitener.design(columns, len(self.indices)), self.whitener.rows(self.target))
         first = len(self.nuisances)
         return solution.values[first:], solution.covariance[first:, first:]
