@@ -85,6 +85,8 @@ def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
     return remembered(replace(s, before=None), lambda _: x, tau_s)
 
 
+#: in the frequency of the motion it is a thermometer that lags, as every one does
+_LATE = "(T - T of 20 s before) x"
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x", "amplitude"): [lambda s, x: _norm(x) * x],
@@ -112,7 +114,7 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ],
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
     ("dT/dt x", "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
-    ("(T - T of 20 s before) x", "temperature"): [lambda s, x: behind(s, 20.0) * x],
+    (_LATE, "temperature"): [lambda s, x: behind(s, 20.0) * x],
     ("(T - T of 20 s before) x, other on each axis", "temperature"): [
         lambda s, x: behind(s, 20.0) * _axis(x, 0),
         lambda s, x: behind(s, 20.0) * _axis(x, 1),
@@ -180,6 +182,8 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                 # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate
                 continue
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
+                if (kind, phase, text) == ("flow", "in quadrature", _LATE):
+                    continue
                 form = _form(kind, monomials, factor, at_once=depends in _AT_ONCE)
                 columns = tuple(form_columns(evidence, form, linear, {}))
                 if not any(np.any(v) for c in columns for v in c.signal):
