@@ -135,15 +135,15 @@ def test_poor_plans_lack_what_they_say(kind: str) -> None:
     assert 4 <= len(poor("few recordings").steps) <= 8
 
 
-# -- gates -----------------------------------------------------------------------------------------------------------------------------
-
-
 def test_what_a_form_has_as_a_setting_is_not_drawn_as_a_size() -> None:
     signals = chain()
     for name, form in FORMS.items():
         settings = {key for setting in form.settings(signals) for key in setting} & {p.name for p in EFFECTS[name].parameters}
         if "level" not in settings and name != "thermal_lag":  # tried as its own size, and at times
             assert not settings & set(_linear_parameters(name)), name
+
+
+# -- gates -----------------------------------------------------------------------------------------------------------------------------
 
 
 def test_intervals_of_a_share() -> None:

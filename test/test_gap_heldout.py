@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gyro_calib.gap.columns import Column
-from gyro_calib.gap.heldout import halves, halves_disagree
+from gyro_calib.gap.heldout import _Part, halves, halves_disagree
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.system import Whitener
@@ -48,3 +48,18 @@ def test_halves_of_different_sizes_disagree(seed: int) -> None:
     sizes[sides[0]] = 4.0
     model, effect = toy(sizes, seed)
     assert halves_disagree(model, [effect])
+
+
+def test_a_half_does_not_guess_at_a_size_that_it_cannot_tell() -> None:
+    """Beforehand a size is of the order that all experiments say: no matter where it is well told, all where it is not."""
+    found: dict[tuple[str, bool], list[float]] = {}
+    for seed in range(100):
+        model, strong = toy(np.full(COUNT, 2.0), seed)
+        weak = Candidate(strong.name, {}, (Column("d_x", tuple(0.03 * x for x in strong.columns[0].signal), ()),), strong.prior_sd)
+        part = _Part(model, halves(model)[0])
+        for name, candidate in (("strong", strong), ("weak", weak)):
+            for order in (None, np.array([2.0])):
+                found.setdefault((name, order is not None), []).append(float(part.told([candidate], order)[0][0]))
+    spread = {key: float(np.std(values)) for key, values in found.items()}
+    assert spread["strong", True] == pytest.approx(spread["strong", False], rel=0.1)
+    assert spread["weak", True] < 0.5 * spread["weak", False]

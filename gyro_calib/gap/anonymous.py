@@ -86,7 +86,7 @@ def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
 
 
 #: in the frequency of the motion it is a thermometer that lags, as every one does
-_LATE = "(T - T of 20 s before) x"
+_LATE, _LATE_S = "(T - T of 20 s before) x", 20.0
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x", "amplitude"): [lambda s, x: _norm(x) * x],
@@ -114,14 +114,14 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ],
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
     ("dT/dt x", "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
-    (_LATE, "temperature"): [lambda s, x: behind(s, 20.0) * x],
-    ("(T - T of 20 s before) x, other on each axis", "temperature"): [
-        lambda s, x: behind(s, 20.0) * _axis(x, 0),
-        lambda s, x: behind(s, 20.0) * _axis(x, 1),
+    (_LATE, "temperature"): [lambda s, x: behind(s, _LATE_S) * x],
+    (f"{_LATE}, other on each axis", "temperature"): [
+        lambda s, x: behind(s, _LATE_S) * _axis(x, 0),
+        lambda s, x: behind(s, _LATE_S) * _axis(x, 1),
     ],
-    ("(T - T of 20 s before) x, crossed", "temperature"): [
-        lambda s, x: behind(s, 20.0) * _axis(x[:, ::-1], 0),
-        lambda s, x: behind(s, 20.0) * _axis(x[:, ::-1], 1),
+    (f"{_LATE}, crossed", "temperature"): [
+        lambda s, x: behind(s, _LATE_S) * _axis(x[:, ::-1], 0),
+        lambda s, x: behind(s, _LATE_S) * _axis(x[:, ::-1], 1),
     ],
     ("t x", "time"): [_by(lambda s: s.time_s)],
     ("t x, other on each axis", "time"): [lambda s, x: s.time_s[:, None] * _axis(x, 0), lambda s, x: s.time_s[:, None] * _axis(x, 1)],

@@ -254,10 +254,7 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
     if verdict == "not_testable":
         return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
     if unknown is not None:
-        return (
-            f"Something that is not in the catalogue, in the {unknown.location}, {unknown.phase}: grows as {unknown.form} "
-            f"(nearest known: {unknown.nearest or 'none'})."
-        )
+        return f"Something that is not in the catalogue, {unknown.words()} (nearest known: {unknown.nearest or 'none'})."
     words = []
     for e in effects:
         others = [name for name in e.group if name != e.name]

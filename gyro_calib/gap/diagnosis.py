@@ -17,6 +17,8 @@ __all__ = ["SCHEMA", "Alternative", "Diagnosis", "FoundEffect", "Gap", "NextExpe
 #: version of the JSON
 SCHEMA = 1
 _MAP_CELLS = 60
+#: on what something unknown depends that is of some experiments and has no form
+_OF_EXPERIMENTS = ("recording", "experiment")
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,12 @@ class Unknown:
     depends_on: str
     nearest: str
     gain: float
+
+    def words(self) -> str:
+        """Where it acts and as what, for people."""
+        if self.depends_on in _OF_EXPERIMENTS:
+            return f"in the {self.location}: {self.form}"
+        return f"in the {self.location}, {self.phase}: grows as {self.form} and depends on {self.depends_on}"
 
 
 @dataclass(frozen=True)

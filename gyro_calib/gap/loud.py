@@ -10,7 +10,7 @@ from .model import CampaignModel
 
 __all__ = ["Loud", "loudest"]
 
-#: power over that of its kind from which on a recording is not of its kind; healthy ones of some hundred came to 4.4
+#: power over that of its kind from which on a recording is not of its kind; those of some forty healthy campaigns came to 4.4
 _LOUD = 8.0
 
 

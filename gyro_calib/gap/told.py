@@ -7,10 +7,10 @@ that follow it are no better known. What a healthy device has of the same form i
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..quantity import Quantity
@@ -21,7 +21,6 @@ from .system import Solution
 
 __all__ = ["told_sizes"]
 
-FloatArray = NDArray[np.float64]
 #: by how much one step of the search for a setting's sd may change it
 _LEAST, _MOST = 0.1, 3.0
 _STEPS = 3
@@ -32,7 +31,7 @@ class _Settled:
     """Sd of a setting, and by how much the sizes change with it."""
 
     sd: float
-    slope: FloatArray
+    slopes: Mapping[str, float]
 
 
 def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich: Solution) -> dict[str, Quantity]:
@@ -54,13 +53,13 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
     healthy = {c.name: c.prior_sd for c in model.nuisances if math.isfinite(c.prior_sd)}
     fitted = {c.name: j for j, c in enumerate(rich.columns)}
     told = {}
-    for j, column in enumerate(e.candidate.columns):
+    for column in e.candidate.columns:
         if column.name not in units and column.name != "share":
             continue
         place = fitted[f"{e.name}.{column.name}"]
         parts = [math.sqrt(float(rich.covariance[place, place])), healthy.get(f"{e.name}.{column.name}", 0.0)]
         if e.name != "thermal_lag":
-            parts += [float(s.slope[j]) * s.sd for s in settled.values() if s.slope.size]
+            parts += [s.slopes.get(column.name, 0.0) * s.sd for s in settled.values()]
         told[column.name] = Quantity(float(rich.values[place]), math.hypot(*parts), units.get(column.name, "1"))
     told |= {key: Quantity(float(e.candidate.setting[key]), s.sd, units[key]) for key, s in settled.items()}
     if e.name == "thermal_lag":
@@ -75,13 +74,13 @@ def _settled(model: CampaignModel, effects: tuple[Screened, ...], k: int, key: s
     screener = model.screener_with([other.candidate for j, other in enumerate(effects) if j != k])
     here, rough = float(e.candidate.setting[key]), _rough_sd(model, e, key)
     middle = _at(model, screener, e, key, here)
-    step, unbent = min(rough, 0.5 * abs(here)), _Settled(rough, np.zeros(0))
+    step, unbent = min(rough, 0.5 * abs(here)), _Settled(rough, {})
     found = unbent
     for _ in range(_STEPS):
-        sides = [_at(model, screener, e, key, here + side * step) for side in (-1.0, 1.0)]
-        if middle is None or sides[0] is None or sides[1] is None or step == 0.0:
+        below, above = (_at(model, screener, e, key, here + side * step) for side in (-1.0, 1.0))
+        if middle is None or below is None or above is None or step == 0.0:
             return found
-        bend = 2.0 * middle.gain - sides[0].gain - sides[1].gain
+        bend = 2.0 * middle.gain - below.gain - above.gain
         if bend <= 0.0:
             # no parabola: a level between the amplitudes that were recorded
             return found
@@ -89,7 +88,8 @@ def _settled(model: CampaignModel, effects: tuple[Screened, ...], k: int, key: s
         if sd > abs(here):
             # nor is one where another setting of another size does as well
             return unbent
-        found = _Settled(sd, (sides[1].values - sides[0].values) / (2.0 * step))
+        low, high = below.sizes(), above.sizes()
+        found = _Settled(sd, {name: (high[name][0] - low[name][0]) / (2.0 * step) for name in high})
         step = float(np.clip(sd, _LEAST * step, min(_MOST * step, 0.5 * abs(here))))
     return found
 

@@ -100,10 +100,7 @@ def _ambiguity(diagnosis: Diagnosis) -> tuple[Words, ...]:
     harmless = [e.name for e in diagnosis.effects if e.harmless]
     lines += [f"{name} is present, but moves neither bias nor scale factor by more than their noise." for name in harmless]
     if (unknown := diagnosis.unknown) is not None:
-        lines.append(
-            f"What is not in the catalogue acts in the {unknown.location}, {unknown.phase}, grows as {unknown.form} and depends on "
-            f"{unknown.depends_on}; the nearest known effect is {unknown.nearest or 'none'}."
-        )
+        lines.append(f"What is not in the catalogue acts {unknown.words()}; the nearest known effect is {unknown.nearest or 'none'}.")
     title = "What the data cannot tell apart" if diagnosis.unknown is None else "What is not in the catalogue"
     return (Words(title, tuple(lines)),) if lines else ()
 
