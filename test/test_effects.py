@@ -180,6 +180,7 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "drive_gain_drift": ({"g_x": 0.01, "g_y": 5e-3}, lambda r: r.force(r.t[:, None] * by_axis(r, "g_x", "g_y") * r.u)),
     "drive_phase_drift": ({"g_x": 1e-3, "g_y": 5e-4}, lambda r: r.force(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.u)),
     "pickoff_gain_drift": ({"g_x": 1e-3, "g_y": 5e-4}, lambda r: r.reading(r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
+    "pickoff_phase_drift": ({"g_x": 2e-4, "g_y": 1e-4}, lambda r: r.reading(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
     "centrifugal_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * RATE**2 * r.p),
     "rate_dependent_damping": ({"c": 0.5}, lambda r: -r.size["c"] * RATE * r.p),
     "angular_gain_error": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * r.p @ TURN.T),

@@ -87,3 +87,20 @@ def test_delay_and_crosstalk_of_the_multiplexer_turn_and_mix_what_is_seen(fideli
 def test_a_multiplexer_that_cannot_be_is_refused(values: dict[str, float], text: str) -> None:
     with pytest.raises(DeviceError, match=text):
         Multiplexing(enabled=True, **values)
+
+
+@pytest.mark.parametrize("effect", [{"drive_lag": {"tau": 8e-4}}, {"drive_delay": {"tau_x": -2e-4, "tau_y": -2e-4}}])
+@pytest.mark.parametrize("enabled", [False, True])
+def test_a_late_drive_is_as_late_in_its_slot(effect: dict[str, dict[str, float]], enabled: bool) -> None:
+    """Behind a wave that an input rate turns, the drive that holds it pulls it back by ``decay * spin * tau``, on every azimuth."""
+    base = replace(low_q_hrg(), multiplexing=Multiplexing(enabled=enabled))
+    found = []
+    for device in (base, replace(base, effects=effect)):
+        sim = simulate(device, "carrier")
+        sim.configure(whole_angle())
+        sim.advance(3.0, 0.5)
+        wave = in_wave_frame(sim.advance(math.pi / (0.5 * 0.5 * device.resonator.angular_gain), 0.5))
+        found.append(wave.rate)
+    tau = next(iter(next(iter(effect.values())).values()))
+    expected = -base.resonator.decay_rate() * found[0] * tau
+    np.testing.assert_allclose(found[1] - found[0], expected, rtol=0.005)

@@ -161,7 +161,7 @@ TIME = (
         pair("g_x g_y", "rad/s", 2e-6, 0.01, "phase lead per second"),
         ("time",), BOTH,
         "u_j += i g_j t u_j",
-        ("frequency_ageing", "split_drift"),
+        ("frequency_ageing", "split_drift", "pickoff_phase_drift"),
     ),
     Effect(
         "pickoff_gain_drift", "Pick-off gains that drift with time", "environment", (31, 45),
@@ -169,6 +169,13 @@ TIME = (
         ("time",), BOTH,
         "V_j += g_j t V_j",
         ("drive_gain_drift",),
+    ),
+    Effect(
+        "pickoff_phase_drift", "Pick-off phases that drift with time", "environment", (19, 31, 45),
+        pair("g_x g_y", "rad/s", 2e-6, 0.01, "phase lead per second"),
+        ("time",), BOTH,
+        "V_j += i g_j t V_j",
+        ("drive_phase_drift", "split_drift"),
     ),
 )  # fmt: skip
 

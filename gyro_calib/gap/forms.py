@@ -366,6 +366,7 @@ FORMS: dict[str, Form] = {
     "drive_gain_drift": _scaled_drive("drive", "g", _late, 1.0),
     "drive_phase_drift": _scaled_drive("drive", "g", _late, 1j),
     "pickoff_gain_drift": _read_by_axis("g", lambda s, v: _late(s)[:, None] * v),
+    "pickoff_phase_drift": _read_by_axis("g", lambda s, v: 1j * _late(s)[:, None] * v),
     "centrifugal_stiffness": _stiffness("k", lambda s: s.rate_rad_s**2),
     "rate_dependent_damping": _damping("c", _rate),
     "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * _turned(_motion(s, d)))]),

@@ -13,17 +13,19 @@ from ..recording.recording import Recording
 from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .columns import Column
+from .courses import Courses, courses_of
 from .evidence import CampaignEvidence
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, linear_columns, linear_of, span_k, target_of
-from .noise import first_noise, measured_noise
+from .noise import first_noise, measured_noise, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
 from .saturated import columns_of_time, effect_columns, open_drive, saturated_columns
-from .screen import Candidate, Screener
+from .screen import Candidate, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
+from .thermometer import thermometer_columns
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -32,6 +34,8 @@ ComplexArray = NDArray[np.complex128]
 _WANDER, _MOST_WANDER = 5e-8, 5e-7
 #: on what unnamed terms of the saturated model depend
 _STRANGE = ("amplitude", "drive")
+#: log evidence of a course of time from which on it is allowed for when the noise is measured
+_COURSE = 15.0
 #: what an unnamed term that depends on something needs
 _NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
 
@@ -51,6 +55,8 @@ class CampaignModel:
         Effects of the registry, by name.
     bank : sequence of (Anonymous, Candidate)
         Terms without a name.
+    courses : Courses
+        Courses of time without a name.
     screener : Screener
         Against the nuisances alone.
     base : Solution
@@ -65,6 +71,7 @@ class CampaignModel:
     nuisances: tuple[Column, ...]
     candidates: Mapping[str, Sequence[Candidate]]
     bank: Sequence[tuple[Anonymous, Candidate]]
+    courses: Courses
     screener: Screener
     base: Solution
     excess: Mapping[tuple[int, str], float] = field(default_factory=dict)
@@ -121,31 +128,64 @@ def look_at(
     check_linear(linear, rough, recordings)
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
-    linear = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
+    linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
     report(0.35, "effects of the registry")
-    nuisances = _nuisances(evidence, linear, most, wander)
+    # a resonance that wanders with its temperature: the sensor does not say so
+    error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed_rad_s and linear.frequency_slope_rad_s_k else 0.0
+    errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
+    nuisances = [*_nuisances(evidence, linear, most, wander), *errs]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     missing = _missing(evidence)
     candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}
     bank = [(term, c) for term, c in anonymous_candidates(evidence, linear) if _NEEDED.get(term.depends_on) not in missing]
+    courses = courses_of(evidence, linear)
+    report(0.75, "noise")
+    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, candidates, bank, angular_gain, most, errs)
+    screener = Screener(whitener, held, target_of(evidence, angular_gain))
+    course = courses.best(screener, whitener)
+    if course is not None and worth(course[0].gain, course[0].rank, course[0].candidate.choices) > _COURSE:
+        # what repeats differ by is then no noise
+        whitener, noise, excess, held = _weighed(
+            evidence, linear, nuisances, candidates, bank, angular_gain, most, errs, [course[0].candidate]
+        )
+        screener = Screener(whitener, held, target_of(evidence, angular_gain))
+    base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
+    report(1.0, "noise")
+    return CampaignModel(evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess)
+
+
+def _weighed(
+    evidence: CampaignEvidence,
+    linear: Linear,
+    nuisances: Sequence[Column],
+    candidates: Mapping[str, Sequence[Candidate]],
+    bank: Sequence[tuple[Anonymous, Candidate]],
+    angular_gain: float,
+    most_rad_s: float,
+    errs: Sequence[Column],
+    strangers: Sequence[Candidate] = (),
+) -> tuple[Whitener, NoiseByRole, Mapping[tuple[int, str], float], list[Column]]:
+    """Noise, measured with all effects and ``strangers`` allowed for, and the nuisances at the sizes that they have."""
     # a wave that is turned shows what depends on rate, whatever its name
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
-    report(0.75, "noise")
-    drifts = slow_drifts(evidence, linear)
     strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting]
-    saturated = saturated_columns(evidence, linear, [*nuisances, *drifts], candidates, [*turned, *strange])
-    of_rate = [*nuisances, *drifts, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
-    noise, excess = measured_noise(evidence, saturated, of_rate, angular_gain, nuisances)
+    held = [*nuisances, *slow_drifts(evidence, linear)]
+    allowed = [*saturated_columns(evidence, linear, held, candidates, [*turned, *strange]), *effect_columns(strangers)]
+    of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
+    noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, nuisances)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
-    held = [*nuisances, *drifts]
     family = _random_family(evidence)
-    shares = _random_shares(evidence, family, [saturated, [*held, *columns_of_time(candidates)]], whitener, whitener.rows(target))
-    nuisances = with_shares([*held, *slow_columns(evidence, linear, most * shares["shift"])], family, shares)
-    base = solve(nuisances, whitener.design(nuisances, len(evidence)), whitener.rows(target))
-    report(1.0, "noise")
-    screener = Screener(whitener, nuisances, target)
-    return CampaignModel(evidence, linear, noise, whitener, tuple(nuisances), candidates, bank, screener, base, excess)
+    of_time = [*held, *columns_of_time(candidates), *effect_columns(strangers)]
+    shares = _random_shares(evidence, family, [allowed, of_time], whitener, whitener.rows(target))
+    # what wanders is the temperature: its sensor errs in the same share
+    wanders = {c.name: "shift" for c in errs}
+    sized = with_shares(
+        [*held, *slow_columns(evidence, linear, most_rad_s * shares["shift"])], lambda c: wanders.get(c.name) or family(c), shares
+    )
+    # once the drifts have their size, repeats have the freedom to say how far a mean errs by itself
+    noise = with_repeats(evidence, with_shares(allowed, family, shares), noise, excess, target)
+    return Whitener.of(evidence, noise, excess), noise, excess, sized
 
 
 def _random_shares(
@@ -185,12 +225,15 @@ def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: flo
     return linear_of(evidence, values, angular_gain), values
 
 
-def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: float) -> Linear:
-    """The linear device with where its resonance lay in every record: that asks for noise of the right size, of a fit without effects."""
+def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: float) -> tuple[Linear, dict[str, float]]:
+    """The linear device, and all values, with where its resonance lay in every record.
+
+    That asks for noise of the right size, of a fit without effects.
+    """
     noise, excess = measured_noise(evidence, columns, columns, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
     values = solve(columns, whitener.design(columns, len(evidence)), whitener.rows(target_of(evidence, angular_gain))).by_name()
-    return linear_of(evidence, values, angular_gain)
+    return linear_of(evidence, values, angular_gain), values
 
 
 def _missing(evidence: CampaignEvidence) -> set[str]:

@@ -24,7 +24,7 @@ from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
 from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Whitener, solve
 
-__all__ = ["first_noise", "measured_noise"]
+__all__ = ["first_noise", "measured_noise", "with_repeats"]
 
 ComplexArray = NDArray[np.complex128]
 Key = tuple[str, str]
@@ -45,8 +45,8 @@ _GAIN_SHARE = 0.01
 #: noise of the saturated model over that of one without effects, in power, at least: of all recordings, and of those in which nothing is
 #: commanded to change, of which an effect moves but the mean, from so many squares on
 _FLOOR, _STEADY_FLOOR, _FEWEST_SQUARES = 0.3, 0.75, 40
-#: differences between repeated records that say how much their means differ by
-_FEWEST_REPEATS = 4
+#: differences between repeated records that say how much their means differ by; as many of all channels count for one's own; rounds
+_FEWEST_REPEATS, _BELIEVED_REPEATS, _REPEAT_ROUNDS = 4, 8.0, 3
 
 
 def first_noise(evidence: CampaignEvidence) -> dict[Key, NoiseLaw]:
@@ -85,7 +85,7 @@ def measured_noise(
                 floor[role, channel] = law.floor(_STEADY_FLOOR)
         saturated, target, quiet = _held(saturated, solution.by_name(), whole, quiet)
     noise, solution = _iterated(evidence, saturated, target, quiet, floor)
-    noise = _with_repeats(evidence, solution, noise, target)
+    noise = with_repeats(evidence, saturated, noise, {}, target)
     noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
     return noise, _with_table(evidence, of_rate, noise, excess, whole)
 
@@ -137,8 +137,10 @@ def _with_table(
     return more
 
 
-def _solved(evidence: CampaignEvidence, columns: Sequence[Column], noise: NoiseByRole, target: Sequence[ComplexArray]) -> Solution:
-    whitener = Whitener.of(evidence, noise)
+def _solved(
+    evidence: CampaignEvidence, columns: Sequence[Column], noise: NoiseByRole, target: Sequence[ComplexArray], excess: Excess | None = None
+) -> Solution:
+    whitener = Whitener.of(evidence, noise, excess)
     return solve(columns, whitener.design(columns, len(evidence)), whitener.rows(target))
 
 
@@ -237,35 +239,56 @@ def _tamed(noise: NoiseByRole, waves: set[str]) -> NoiseByRole:
     return tamed
 
 
-def _with_repeats(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, target: Sequence[ComplexArray]) -> NoiseByRole:
-    """Noise of the means, raised to what repeated records differ by."""
-    groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
-    for k, r in enumerate(evidence):
-        if r.is_wave and not r.is_warming and "applied_rate" not in r.recording.extras:
-            groups[_condition(r)].append(k)
-    squares: dict[Key, float] = defaultdict(float)
-    expected: dict[Key, float] = defaultdict(float)
-    freedom: dict[Key, int] = defaultdict(int)
-    left = [t - np.stack([c.signal[k] for c in solution.columns], axis=1) @ solution.values for k, t in enumerate(target)]
-    for members in groups.values():
-        first = evidence.recordings[members[0]]
-        for part in range(2):
-            for side in range(2):
-                channel = CHANNELS[2 * side + part]
-                means = np.array([_mean_line(left[k], part, side) for k in members])
-                key, lines = first.noise_key(channel), first.lines(channel)
-                squares[key] += float(np.sum((means - means.mean()) ** 2)) / lines.scale
-                expected[key] += (len(members) - 1) * float(noise[key].density(lines)[0]) / lines.scale
-                freedom[key] += len(members) - 1
-    raised = dict(noise)
-    for key, count in freedom.items():
-        # both axes repeat alike: where one has too few repeats the other's count too
-        alike = [k for k in freedom if k == key or (count < _FEWEST_REPEATS and k[1] == key[1] and {k[0], key[0]} <= {"ftr_x", "ftr_y"})]
-        total = sum(freedom[k] for k in alike)
-        excess = sum(squares[k] - expected[k] for k in alike)
-        if total >= _FEWEST_REPEATS and excess > 0.0:
-            raised[key] = replace(noise[key], mean=excess / total)
-    return raised
+def with_repeats(
+    evidence: CampaignEvidence, columns: Sequence[Column], noise: NoiseByRole, excess: Excess, target: Sequence[ComplexArray]
+) -> NoiseByRole:
+    """Noise of the means, raised to what repeated records differ by beyond what a model's freedom takes of it.
+
+    What drives and pick-offs add at a mean does not know the channel: each has its own repeats, and as many more as are believed of all.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    columns : sequence of Column
+        Of the model: with every effect at once, since what it lacks bends what follows the time, and that is where repeats differ.
+    noise, excess : mapping
+    target : sequence of ndarray, complex
+        Left-hand sides by recording.
+    """
+    for _ in range(_REPEAT_ROUNDS):
+        found = _repeated(evidence, _solved(evidence, columns, noise, target, excess), noise)
+        weight = sum(free / density**2 for _, free, density in found.values())
+        if sum(free for _, free, _ in found.values()) < _FEWEST_REPEATS or weight == 0.0:
+            return noise
+        of_all = sum((square - free) / density for square, free, density in found.values()) / weight
+        raised = dict(noise)
+        for key, (square, free, density) in found.items():
+            more = ((square - free) * density + _BELIEVED_REPEATS * of_all) / (free + _BELIEVED_REPEATS)
+            raised[key] = replace(noise[key], mean=max(noise[key].mean + more, 0.0))
+        noise = raised
+    return noise
+
+
+def _repeated(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole) -> dict[Key, tuple[float, float, float]]:
+    """Of every channel: sum of squares between repeated means in units of their noise, what is expected of it, density of a mean."""
+    groups: dict[tuple[object, ...], list[slice]] = defaultdict(list)
+    of_group: dict[tuple[object, ...], tuple[Key, float]] = {}
+    for _, r, _, _, channel, rows in _parts(evidence):
+        plain = r.is_wave and not r.is_warming and "applied_rate" not in r.recording.extras
+        if plain and r.lines(channel).is_mean[0] and channel != "frequency":
+            condition = (*_condition(r), channel)
+            groups[condition].append(rows)
+            of_group[condition] = r.noise_key(channel), float(noise[r.noise_key(channel)].density(r.lines(channel))[0])
+    found: dict[Key, tuple[float, float, float]] = {}
+    for condition, members in groups.items():
+        (key, density), first = of_group[condition], [rows.start for rows in members]
+        left, basis = solution.residual[first], solution.basis[first]
+        differing = basis - basis.mean(axis=0)
+        square = float(np.sum((left - left.mean()) ** 2))
+        free = max(len(first) - 1.0 - float(np.sum(differing**2)), 0.0)
+        before = found.get(key, (0.0, 0.0, density))
+        found[key] = (before[0] + square, before[1] + free, before[2])
+    return found
 
 
 def _condition(r: RecordingEvidence) -> tuple[object, ...]:
@@ -274,11 +297,6 @@ def _condition(r: RecordingEvidence) -> tuple[object, ...]:
     azimuth = round(float(np.angle(complex(*np.abs(r.signals.pick[:50]).mean(axis=0)))), 1)
     volts = round(setpoints.virtual_precession_v, 6)
     return (r.role, round(setpoints.amplitude_v, 6), volts, azimuth, setpoints.rebalance, round(r.recording.duration_s, 1))
-
-
-def _mean_line(left: ComplexArray, part: int, side: int) -> float:
-    value = left[side * (left.size // 2)]
-    return float(value.real if part == 0 else value.imag)
 
 
 def _raised_to_what_is_left(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole) -> tuple[NoiseByRole, Excess]:

@@ -19,7 +19,9 @@ from .parts import Linear, Part
 from .signals import SMOOTH_S
 
 __all__ = [
+    "NOTICED_K",
     "SWITCHED",
+    "following_columns",
     "slow_columns",
     "thermal_columns",
     "wander_columns",
@@ -42,7 +44,7 @@ _SENSOR_LAG_S, _GRADIENT_LAG_S = 0.1, 0.3
 #: modes in which a drive is switched within a recording, and over its median change a step
 SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
 #: temperature's span over a campaign from which on a healthy device's coefficients are allowed for [K]
-_NOTICED_K = 0.02
+NOTICED_K = 0.02
 
 
 def _blurred_records(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
@@ -99,15 +101,21 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     columns += _form(evidence, linear, "drive_lag", {"tau": _LAG_S})
     columns += _blurred_records(evidence, linear)
     columns += _kicks(evidence, linear)
-    if span_k(evidence) < _NOTICED_K:
+    if span_k(evidence) < NOTICED_K:
         return columns
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
     columns += _blurred_temperature(evidence, linear)
     damping = abs(np.trace(linear.A).real) / 2.0
+    columns += collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], _DAMPING_PER_K2 * damping, real=True)
+    return columns + following_columns(evidence, linear)
+
+
+def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """What follows the temperature of the moment, but for the resonance."""
+    damping = abs(np.trace(linear.A).real) / 2.0
     split = 2.0 * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
     anisotropy = np.abs(linear.A - np.eye(2) * np.trace(linear.A) / 2.0).max()
-    columns += _form(evidence, linear, "thermal_damping", {"c": _DAMPING_PER_K * damping})
-    columns += collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], _DAMPING_PER_K2 * damping, real=True)
+    columns = _form(evidence, linear, "thermal_damping", {"c": _DAMPING_PER_K * damping})
     sd = _DAMPING_PER_K * float(np.abs(linear.A.real - np.eye(2) * np.trace(linear.A).real / 2.0).max()) + 1e-3 * damping * _DAMPING_PER_K
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
     columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})

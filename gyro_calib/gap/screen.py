@@ -18,12 +18,31 @@ from .columns import Column
 from .parts import Setting
 from .system import Whitener
 
-__all__ = ["Candidate", "Screened", "Screener"]
+__all__ = ["Candidate", "Screened", "Screener", "worth"]
 
 FloatArray = NDArray[np.float64]
 #: singular values below this share of the column's norm are directions that the nuisances imitate; of an effect that a healthy device has
 #: as well, and that is larger than a healthy device has it, the nuisance is the effect itself and imitates it but for its prior
 _ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
+
+
+#: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
+_PRICE = 3.4
+
+
+def worth(gain: float, directions: int, choices: int) -> float:
+    """Log evidence with the same price for every direction: an unnamed term has no usual size from which its prior could be had.
+
+    Parameters
+    ----------
+    gain : float
+        Chi-square that it takes away.
+    directions : int
+        In which it does.
+    choices : int
+        How many of its kind were tried.
+    """
+    return 0.5 * gain - _PRICE * directions - math.log(choices)
 
 
 @dataclass(frozen=True)
@@ -119,8 +138,13 @@ class Screener:
 
     def projected(self, columns: Sequence[Column]) -> tuple[FloatArray, FloatArray]:
         """Whitened columns with the nuisances taken out, and their norms before."""
-        raw = np.vstack([self._whitener.design(columns, self._count), np.zeros((self._pad, len(columns)))])
-        return raw - self._basis @ (self._basis.T @ raw), np.linalg.norm(raw, axis=0)
+        raw = self._whitener.design(columns, self._count)
+        return self.cleaned(raw), np.linalg.norm(raw, axis=0)
+
+    def cleaned(self, whitened: FloatArray) -> FloatArray:
+        """Whitened columns, shape (rows, k), with the nuisances taken out: rows of their priors added."""
+        raw = np.vstack([whitened, np.zeros((self._pad, whitened.shape[1]))])
+        return np.asarray(raw - self._basis @ (self._basis.T @ raw))
 
     def screen(self, candidate: Candidate) -> Screened | None:
         """What a candidate explains; nothing when no recording holds it or the nuisances imitate all of it."""

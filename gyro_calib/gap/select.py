@@ -19,7 +19,7 @@ from .exact_levels import best_exact_level
 from .model import CampaignModel
 from .parts import SKEW
 from .relinearise import relinearised
-from .screen import Candidate, Screened, Screener
+from .screen import Candidate, Screened, Screener, worth
 
 __all__ = ["Selection", "Stranger", "select_effects"]
 
@@ -46,8 +46,8 @@ _LEFT_SHARE, _LEFT_SIGMA = 0.04, 6.0
 _BETTER = 12.0
 #: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do
 _BANK_MARGIN = 7.0
-#: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
-_PRICE = 3.4
+#: and courses of time beyond those: a 1/f floor swings like one, up to a log evidence of 12 in some twenty healthy campaigns
+_COURSE_MARGIN = 10.0
 #: a share that multiplies an effect whose size is its setting must be near one
 _SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
 #: a lag of the thermometer that is long against a ramp [s]
@@ -353,7 +353,7 @@ def _stranger(
 ) -> Stranger | None:
     """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
     screener = model.screener_with(chosen)
-    rest = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
+    rest = _unnamed(model, screener)
     nearest = first[0].name if first else ""
     significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
     before = model.screener.chi2 - model.screener.dof
@@ -363,8 +363,7 @@ def _stranger(
         if _unnamed_counts(best, effects):
             return Stranger(term, best, nearest)
         if chosen:
-            singly = [(s, a) for a, c in model.bank if (s := model.screener.screen(c)) is not None]
-            alone = max(singly, key=lambda pair: _worth(pair[0]))
+            alone = max(_unnamed(model, model.screener), key=lambda pair: _worth(pair[0]))
             if _worth(alone[0]) > _set_worth(model, chosen) + _BETTER:
                 return Stranger(alone[1], alone[0], nearest)
         if significant > _LEFT_SIGMA and share > _LEFT_SHARE:
@@ -372,9 +371,15 @@ def _stranger(
     return None
 
 
+def _unnamed(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
+    """Unnamed terms beside what a screener holds; of the courses of time the best, if it is no 1/f floor."""
+    found = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
+    course = model.courses.best(screener, model.whitener)
+    return [*found, course] if course is not None and _worth(course[0]) > MARGIN + _BANK_MARGIN + _COURSE_MARGIN else found
+
+
 def _worth(found: Screened, directions: int | None = None) -> float:
-    """Log evidence with the same price for every direction: an unnamed term has no usual size from which its prior could be had."""
-    return 0.5 * found.gain - _PRICE * (found.rank if directions is None else directions) - float(np.log(found.candidate.choices))
+    return worth(found.gain, found.rank if directions is None else directions, found.candidate.choices)
 
 
 def _set_worth(model: CampaignModel, chosen: Sequence[Candidate]) -> float:

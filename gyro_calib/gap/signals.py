@@ -18,7 +18,7 @@ from ..estimation.wave_projection import frame_directions, spectral_derivatives,
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
 
-__all__ = ["SMOOTH_S", "WARMING_K", "Signals", "smooth_temperature", "with_pick"]
+__all__ = ["SMOOTH_S", "WARMING_K", "Signals", "smooth_temperature", "with_pick", "with_temperature"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -140,6 +140,13 @@ def with_pick(signals: Signals, pick: ComplexArray) -> Signals:
     """The same signals with other pick-off volts."""
     other = replace(signals)
     other.__dict__.update({**signals.__dict__, "pick": pick})
+    return other
+
+
+def with_temperature(signals: Signals, temperature_k: float | FloatArray) -> Signals:
+    """The same signals at another temperature, row by row or one that stands still."""
+    other = replace(signals)
+    other.__dict__.update({**signals.__dict__, "temperature_k": np.broadcast_to(temperature_k, signals.time_s.shape)})
     return other
 
 

@@ -172,15 +172,14 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             # firmware advances the drive by half a hold, so the hold's delay does not turn the force
             half = 0.5 * omega * dt
             ca, sa = math.cos(half), math.sin(half)
-            qxc, qxs, qyc, qys = uxc, uxs, uyc, uys
+            gx, gy = slot_gains(loop) if multiplexed else (1.0, 1.0)
+            gx, gy = gx / on_share, gy / on_share
             if effects_on:
-                qxc, qxs, qyc, qys = drive_phasors(memory, effect, omega, uxc, uxs, uyc, uys)
+                qxc, qxs, qyc, qys = drive_phasors(memory, effect, omega, gx, gy, uxc, uxs, uyc, uys)
+            else:
+                qxc, qxs, qyc, qys = gx * uxc, gx * uxs, gy * uyc, gy * uys
             axr, axi = qxc * ca - qxs * sa, qxc * sa + qxs * ca
             ayr, ayi = qyc * ca - qys * sa, qyc * sa + qys * ca
-            if multiplexed:
-                gx, gy = slot_gains(loop)
-                gx, gy = gx / on_share, gy / on_share
-                axr, axi, ayr, ayi = gx * axr, gx * axi, gy * ayr, gy * ayi
             fxr = b[0] * axr - b[1] * axi + b[2] * ayr - b[3] * ayi
             fxi = b[0] * axi + b[1] * axr + b[2] * ayi + b[3] * ayr
             fyr = b[4] * axr - b[5] * axi + b[6] * ayr - b[7] * ayi

@@ -62,18 +62,24 @@ def _delayed(memory, effect, place, share, omega, c, s):  # type: ignore[no-unty
 
 
 @kernel
-def drive_phasors(memory, effect, omega, uxc, uxs, uyc, uys):  # type: ignore[no-untyped-def]
-    """Drive phasors of the coming control period from the commanded ones [V]: delay, lag, memory, sag, phase with amplitude."""
+def drive_phasors(memory, effect, omega, gain_x, gain_y, uxc, uxs, uyc, uys):  # type: ignore[no-untyped-def]
+    """Drive phasors of the coming control period from the commanded ones [V]: sag, phase with amplitude; slots; delay, lag, memory.
+
+    What takes its time comes behind the slots (``gain_x``, ``gain_y``: volts in the present one over the commanded): the mean of a frame
+    is then late by just that, whichever slot a command changes before.
+    """
+    xx, yy = uxc * uxc + uxs * uxs, uyc * uyc + uys * uys
+    factor = 1.0 + effect[E_SAG] * (xx + yy)
+    ax, ay = effect[E_PHASE_X] * xx, effect[E_PHASE_Y] * yy
+    cx, sx, cy, sy = factor * math.cos(ax), factor * math.sin(ax), factor * math.cos(ay), factor * math.sin(ay)
+    uxc, uxs = gain_x * (cx * uxc - sx * uxs), gain_x * (sx * uxc + cx * uxs)
+    uyc, uys = gain_y * (cy * uyc - sy * uys), gain_y * (sy * uyc + cy * uys)
     if effect[E_LATE_X] != 0.0 or effect[E_LATE_Y] != 0.0:
         uxc, uxs = _delayed(memory, effect, M_SOON, effect[E_LATE_X], omega, uxc, uxs)
         uyc, uys = _delayed(memory, effect, M_SOON + 2, effect[E_LATE_Y], omega, uyc, uys)
     uxc, uxs = _drive_with_memory(memory, effect, 0, uxc), _drive_with_memory(memory, effect, 1, uxs)
     uyc, uys = _drive_with_memory(memory, effect, 2, uyc), _drive_with_memory(memory, effect, 3, uys)
-    xx, yy = uxc * uxc + uxs * uxs, uyc * uyc + uys * uys
-    factor = 1.0 + effect[E_SAG] * (xx + yy)
-    ax, ay = effect[E_PHASE_X] * xx, effect[E_PHASE_Y] * yy
-    cx, sx, cy, sy = factor * math.cos(ax), factor * math.sin(ax), factor * math.cos(ay), factor * math.sin(ay)
-    return cx * uxc - sx * uxs, sx * uxc + cx * uxs, cy * uyc - sy * uys, sy * uyc + cy * uys
+    return uxc, uxs, uyc, uys
 
 
 @kernel

@@ -23,8 +23,8 @@ SLOW_EFFECTS = frozenset(
         "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
-        "pickoff_gain_drift", "centrifugal_stiffness", "rate_dependent_damping", "angular_gain_error", "rate_nonlinearity",
-        "rate_asymmetry",
+        "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "rate_dependent_damping", "angular_gain_error",
+        "rate_nonlinearity", "rate_asymmetry",
     )
 )  # fmt: skip
 

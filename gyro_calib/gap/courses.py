@@ -1,0 +1,180 @@
+"""Gains, phases and damping that follow the clock as no registry has it: to and fro, another from a moment on, anew in each recording.
+
+A thermostat's cycle, a supply that is refreshed, a contact that moved, a stage that is muted between recordings: their sources are without
+number, their courses of time are few. Within a recording a course is a parabola, so a handful of projected columns makes them all: each
+kind of signal times the first three Legendre polynomials of the recording's time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from .anonymous import Anonymous
+from .columns import Column, part_columns
+from .evidence import CampaignEvidence
+from .parts import Linear, Part, read_at_once
+from .screen import Candidate, Screened, Screener, worth
+from .signals import Signals
+from .system import Whitener
+
+__all__ = ["Courses", "courses_of"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_MOMENTS = 3
+#: shortest period [s]; steps of the frequency over one by the campaign's time; longest period over that time
+_SHORTEST_S, _FINER, _LONGEST = 15.0, 0.5, 0.5
+#: how soon what is switched on with a recording settles [s]
+_SETTLING_S = (2.0, 5.0, 15.0)
+#: size of an unnamed course over the signal that it multiplies, sd: one of order one would wipe out an axis that holds but noise
+_SIZE = 0.01
+#: where and in which phase: two unknowns of an axis each, or one of both
+_PLACES = (
+    *((location, phase) for location in ("drive", "pick-off") for phase in ("in phase", "in quadrature")),
+    ("dynamics", "in phase"),
+)
+
+
+@dataclass(frozen=True)
+class _Course:
+    """A course of time: what it is, how many were tried of its kind, and its functions, each of rows of a recording."""
+
+    form: str
+    choices: int
+    functions: tuple[Callable[[Signals], FloatArray], ...]
+
+
+@dataclass(frozen=True)
+class Courses:
+    """All courses of a campaign, ready to be screened.
+
+    Parameters
+    ----------
+    base : tuple of Column
+        Of every place, axis and polynomial.
+    names : tuple of (str, str)
+        Location and phase of each base column.
+    forms : tuple of (str, int)
+        Courses, and how many of the kind were tried.
+    weights : ndarray, shape (functions, recordings, 3)
+        Courses by recording in Legendre polynomials.
+    of_course : ndarray of int, shape (functions,)
+    """
+
+    base: tuple[Column, ...]
+    names: tuple[tuple[str, str], ...]
+    forms: tuple[tuple[str, int], ...]
+    weights: FloatArray
+    of_course: NDArray[np.intp]
+
+    def best(self, screener: Screener, whitener: Whitener) -> tuple[Screened, Anonymous] | None:
+        """The course that is worth most beside what a screener holds."""
+        best: tuple[float, int, tuple[str, str]] | None = None
+        rows = whitener.design(self.base, self.weights.shape[1])
+        recording = np.repeat(np.arange(self.weights.shape[1]), [2 * v.size for v in self.base[0].signal])
+        for place in dict.fromkeys(self.names):
+            block = rows[:, [k for k, name in enumerate(self.names) if name == place]].reshape(len(rows), -1, _MOMENTS)
+            # rows, functions, axes
+            made = np.einsum("rfm,ram->rfa", self.weights.transpose(1, 0, 2)[recording], block)
+            clean = screener.cleaned(made.reshape(len(rows), -1)).reshape(-1, *made.shape[1:])
+            for k, (_, choices) in enumerate(self.forms):
+                columns = clean[:, self.of_course == k].reshape(len(clean), -1)
+                gain, rank = _explained(columns, screener.left)
+                if rank and (best is None or worth(gain, rank, choices) > best[0]):
+                    best = worth(gain, rank, choices), k, place
+        if best is None:
+            return None
+        candidate = self._candidate(best[1], best[2])
+        found = screener.screen(candidate)
+        if found is None:
+            return None
+        gain, rank = _explained(screener.projected(candidate.columns)[0], screener.left)
+        return replace(found, gain=gain, rank=rank), Anonymous(*best[2], self.forms[best[1]][0], "time")
+
+    def _candidate(self, course: int, place: tuple[str, str]) -> Candidate:
+        """A course as an effect."""
+        base = [column for column, name in zip(self.base, self.names, strict=True) if name == place]
+        columns: list[Column] = []
+        for f in np.flatnonzero(self.of_course == course):
+            for first in range(0, len(base), _MOMENTS):
+                signal, quiet = (
+                    tuple(np.tensordot(w, parts, 1) for w, parts in zip(self.weights[f], side, strict=True))
+                    for side in _sides(base[first : first + _MOMENTS])
+                )
+                columns.append(Column(f"c_{len(columns)}", signal, quiet))
+        form, choices = self.forms[course]
+        return Candidate(f"{place[0]} {form}", {}, tuple(columns), np.full(len(columns), _SIZE), choices)
+
+
+def _sides(columns: Sequence[Column]) -> tuple[list[ComplexArray], list[ComplexArray]]:
+    """Signal and quiet lines by recording, columns one below the other."""
+    recordings = range(len(columns[0].signal))
+    return [np.stack([c.signal[r] for c in columns]) for r in recordings], [np.stack([c.quiet[r] for c in columns]) for r in recordings]
+
+
+def courses_of(evidence: CampaignEvidence, linear: Linear) -> Courses:
+    """Project what the courses of a campaign are made of."""
+    base = part_columns(evidence, [_parts(r.signals, linear) for r in evidence], linear)
+    courses = list(_courses(evidence))
+    weights, of_course = [], []
+    for k, course in enumerate(courses):
+        for function in course.functions:
+            weights.append([_moments(r.signals, function) for r in evidence])
+            of_course.append(k)
+    names = tuple(_PLACES[int(c.name.split(".")[0])] for c in base)
+    forms = tuple((c.form, c.choices) for c in courses)
+    return Courses(tuple(base), names, forms, np.array(weights), np.array(of_course))
+
+
+def _parts(s: Signals, d: Linear) -> list[Part]:
+    place = np.linspace(-1.0, 1.0, len(s.time_s))
+    motion = s.pick - s.drive @ d.E.T
+    parts = []
+    for k, (location, phase) in enumerate(_PLACES):
+        factor = 1.0 + 0j if phase == "in phase" else 1j
+        for axis in range(1 if location == "dynamics" else 2):
+            for m in range(_MOMENTS):
+                w = factor * legendre.legval(place, np.eye(_MOMENTS)[m])[:, None]
+                name = f"{k}.{axis}.{m}"
+                if location == "dynamics":
+                    parts.append(Part(name, "flow", -w * motion))
+                elif location == "drive":
+                    parts.append(Part(name, "drive", w * s.drive * np.eye(2)[axis]))
+                else:
+                    parts.append(read_at_once(name, s, d, lambda v, w=w, axis=axis: w * v * np.eye(2)[axis]))  # type: ignore[misc]
+    return parts
+
+
+def _courses(evidence: CampaignEvidence) -> Iterator[_Course]:
+    """All courses that are tried."""
+    starts = sorted(float(r.signals.time_s[0]) for r in evidence)
+    span = max(float(r.signals.time_s[-1]) for r in evidence) - starts[0]
+    frequencies = np.arange(1.0 / (_LONGEST * span), 1.0 / _SHORTEST_S, _FINER / span)
+    for f in frequencies:
+        functions = tuple(lambda s, f=f, wave=wave: wave(2.0 * math.pi * f * s.time_s) for wave in (np.cos, np.sin))  # type: ignore[misc]
+        yield _Course(f"x, to and fro every {1.0 / f:.0f} s", max(len(frequencies), 1), functions)
+    for start in starts[1:]:
+        yield _Course(f"x, another from {start:.0f} s on", len(starts), (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),))  # type: ignore[misc]
+    for tau in _SETTLING_S:
+        settling = (lambda s, tau=tau: np.exp(-(s.time_s - s.time_s[0]) / tau),)  # type: ignore[misc]
+        yield _Course(f"x, settling anew in each recording over {tau:.0f} s", len(_SETTLING_S), settling)
+
+
+def _moments(s: Signals, function: Callable[[Signals], FloatArray]) -> FloatArray:
+    """A course of one recording in Legendre polynomials."""
+    place = np.linspace(-1.0, 1.0, len(s.time_s))
+    return np.asarray(legendre.legfit(place, function(s), _MOMENTS - 1))
+
+
+def _explained(columns: FloatArray, left: FloatArray) -> tuple[float, int]:
+    """Chi-square that columns take away with sizes that they can have, and in how many directions they may be larger than the noise."""
+    inside = _SIZE * (columns.T @ left)
+    w, v = np.linalg.eigh(_SIZE**2 * (columns.T @ columns))
+    w = np.maximum(w, 0.0)
+    return float(np.sum((v.T @ inside) ** 2 / (1.0 + w))), int(np.sum(w > 1.0))

@@ -1,0 +1,110 @@
+"""Courses of time without a name: a gain that swings, steps or settles anew is seen as that, a healthy floor is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.gap import diagnose
+from gyro_calib.gap.evidence import CampaignEvidence
+from gyro_calib.gap.linear_device import frequency_columns, linear_columns
+from gyro_calib.gap.model import CampaignModel, look_at
+from gyro_calib.gap.nuisance import following_columns, thermal_columns
+from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.select import select_effects
+from gyro_calib.gap.signals import with_temperature
+from gyro_calib.gap.thermometer import thermometer_columns
+from gyro_calib.recording.columns import column_index
+from gyro_calib.recording.recording import Campaign, Recording
+from gyro_calib.simulation import GyroSimulator
+
+PERIOD_S = 33.0
+
+
+@cache
+def clean() -> Campaign:
+    device = draw_unit(load_device("ring_15k"), 5)
+    return run_plan(
+        SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(8), fidelity="carrier"), 2e-5),
+        gap_ftr_plan(device.factory(), quality="quick"),
+    )
+
+
+def with_reading_gain(gain: Callable[[Recording, float], np.ndarray]) -> Campaign:
+    """The campaign as a recorder has it whose y channel has a gain of its own, behind what the loops see."""
+    start = min(float(r.t[0]) for r in clean())
+    first = column_index("y_pick_c")
+
+    def changed(r: Recording) -> Recording:
+        data = r.data.copy()
+        data[:, first : first + 2] *= (1.0 + gain(r, start))[:, None]
+        return replace(r, data=data)
+
+    return replace(clean(), recordings=tuple(changed(r) for r in clean()))
+
+
+def model_of(campaign: Campaign) -> CampaignModel:
+    f = campaign.factory
+    return look_at(usable(campaign), np.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+
+
+def test_a_reading_that_swings_is_unknown_with_its_period() -> None:
+    found = diagnose(with_reading_gain(lambda r, start: 2e-4 * np.cos(2.0 * np.pi * (r.t - start) / PERIOD_S)))
+    assert found.verdict == "unknown"
+    assert found.unknown is not None
+    # held where it is, a wave does not tell a reading that is larger from a drive that is
+    assert found.unknown.location in ("pick-off", "drive")
+    assert (found.unknown.phase, found.unknown.depends_on) == ("in phase", "time")
+    assert found.unknown.form.startswith("x, to and fro every ")
+    assert float(found.unknown.form.split()[-2]) == pytest.approx(PERIOD_S, abs=3.0)
+
+
+def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() -> None:
+    ordered = sorted(clean(), key=lambda r: float(r.t[0]))
+    moment = float(ordered[len(ordered) // 2].t[0])
+    model = model_of(with_reading_gain(lambda r, start: 5e-4 * (r.t >= moment)))
+    found = model.courses.best(model.screener, model.whitener)
+    assert found is not None
+    form, _, said = found[1].form.rpartition(" from ")
+    assert form == "x, another"
+    # the y reading is seen by recordings of that axis alone
+    of_y = np.array([float(r.t[0]) for r in ordered if r.command.mode == "ftr_y"])
+    stated = float(ordered[0].t[0]) + float(said.split()[0]) - 0.5
+    np.testing.assert_array_equal(of_y >= stated, of_y >= moment)
+    size, sd = max(found[0].sizes().values(), key=lambda pair: abs(pair[0] / pair[1]))
+    assert abs(size) == pytest.approx(5e-4, abs=0.05 * 5e-4 + 4.0 * sd)
+    assert select_effects(model).stranger is not None
+
+
+def test_a_healthy_floor_is_no_course() -> None:
+    assert diagnose(clean()).verdict == "none"
+
+
+def test_a_thermometer_that_errs_moves_what_follows_the_temperature() -> None:
+    """One kelvin in one record is the difference of the columns there, at the sizes found."""
+    warmed = [r.data.copy() for r in clean()]
+    for data in warmed:
+        data[:, column_index("temperature")] += 0.05 * (data[:, 0] - clean().recordings[0].t[0])
+    evidence = CampaignEvidence.of([replace(r, data=data) for r, data in zip(clean(), warmed, strict=True)], 1.5)
+    linear = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), dtype=complex), 0.8, -2.5)
+    values = {c.name: 1e-3 * (k + 1) for k, c in enumerate(following_columns(evidence, linear))}
+    made = {c.name: c for c in thermometer_columns(evidence, linear, values, 1e-3)}
+    k = next(k for k, r in enumerate(evidence) if r.is_wave)
+    one = evidence.recordings[k]
+    warmer = tuple(
+        replace(r, signals=with_temperature(r.signals, r.signals.temperature_k + 1.0)) if r is one else r for r in evidence.recordings
+    )
+    columns = (following_columns(e, linear) for e in (replace(evidence, recordings=warmer), evidence))
+    expected = sum(values[a.name] * (a.signal[k] - b.signal[k]) for a, b in zip(*columns, strict=True))
+    np.testing.assert_allclose(made[f"thermometer_{one.index}"].signal[k], expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+    assert not any(np.any(v) for j, v in enumerate(made[f"thermometer_{one.index}"].signal) if j != k)
+    assert {c.prior_sd for c in made.values()} == {1e-3}
+    known = {c.name for c in [*linear_columns(evidence, linear), *frequency_columns(evidence), *thermal_columns(evidence, linear)]}
+    assert not known & set(made)
