@@ -28,6 +28,8 @@ MARGIN, LEAST_GAIN = 8.0, 25.0
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
 _MOST_EFFECTS = 3
+#: power over the noise that the best set leaves, up to which it is that of the noise; beyond, something is missing
+_LOUDEST = 1.3
 #: log evidence, and the share of it that trials found to name the right group (`benchmarks/README.md`)
 _EVIDENCES, _TRUST = (30.0, 1000.0), (0.75, 0.92)
 _GOLDEN_STEPS = 8
@@ -137,6 +139,11 @@ def _enough(found: Screened, largest: float = 0.0) -> bool:
     return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, _SECOND_ORDER * largest)
 
 
+def _stands(found: Screened, louder: float) -> bool:
+    """Whether an effect counts where all recordings hold so much more power than the noise: that noise was measured too low."""
+    return louder <= 1.0 or found.log_evidence - 0.5 * found.gain * (1.0 - 1.0 / louder) > MARGIN
+
+
 def select_effects(model: CampaignModel) -> Selection:
     """Select, name what cannot be told apart, and say whether something unnamed is there."""
     first = _ranked(model, ())
@@ -214,7 +221,10 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
     while True:
         chosen = relinearised(model, chosen)
         effects = _together(model, chosen)
-        doubtful = [e for e in effects if not (physical(e, rough=False) and (len(effects) == 1 or _enough(e, largest)))]
+        left = model.screener_with(chosen)
+        louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
+        needed = [len(effects) == 1 or _enough(e, largest) for e in effects]
+        doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]
         if not doubtful:
             return chosen, effects
         least = min(doubtful, key=lambda e: e.log_evidence)
@@ -345,12 +355,7 @@ def _probability(effect: Screened) -> float:
     return float(trust / (1.0 + np.exp(-0.5 * (evidence - MARGIN / 2.0))))
 
 
-def _stranger(
-    model: CampaignModel,
-    chosen: Sequence[Candidate],
-    effects: Sequence[Screened],
-    first: Sequence[Screened],
-) -> Stranger | None:
+def _stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequence[Screened], first: Sequence[Screened]) -> Stranger | None:
     """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
     screener = model.screener_with(chosen)
     rest = _unnamed(model, screener)
