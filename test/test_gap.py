@@ -57,9 +57,9 @@ def test_thinned_projection_is_the_exact_one() -> None:
     evidence = CampaignEvidence.of(list(campaign()), 1.5)
     for r in evidence.recordings[:6]:
         s, exact = r.signals, r.signal
-        picked = r.signal_forms.plain(s.pick[:, None, :])[:, 0]
+        picked = r.signal_forms.plain([s.pick])[:, 0]
         np.testing.assert_allclose(picked, np.einsum("jaa->j", exact.pick), atol=1e-6 * np.abs(exact.pick).max())
-        through = r.signal_forms.through_flow(s.pick[:, None, :])[:, 0]
+        through = r.signal_forms.through_flow([s.pick])[:, 0]
         np.testing.assert_allclose(through, exact.lhs, atol=2e-5 * np.abs(exact.pick).max() * evidence.decay_rate)
 
 

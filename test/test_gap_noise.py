@@ -12,7 +12,7 @@ from gyro_calib.gap import diagnose
 from gyro_calib.gap.columns import Column
 from gyro_calib.gap.linear_device import quiet_target_of, target_of
 from gyro_calib.gap.model import CampaignModel, look_at
-from gyro_calib.gap.noise import _tamed, measured_noise
+from gyro_calib.gap.noise import _tamed, measured_noise, plain_noise
 from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns
@@ -99,7 +99,7 @@ def test_noise_is_not_explained_away() -> None:
         for k, r in enumerate(e)
         if r.role in ("ftr_x", "ftr_y")
     ]
-    told, _ = measured_noise(e, [*plain, *spies], plain, gain, plain)
+    told, _ = measured_noise(e, [*plain, *spies], plain, gain, plain_noise(e, plain, gain))
     honest, _ = measured_noise(e, plain, plain, gain)
     fooled, _ = measured_noise(e, [*plain, *spies], plain, gain)
     for channel in ("precession", "quadrature"):

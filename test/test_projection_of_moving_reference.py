@@ -71,7 +71,7 @@ def test_in_the_axes(recording: Recording) -> None:
 def test_in_the_forms_of_effects(recording: Recording) -> None:
     lines = [0.0, 0.2, 0.4]
     signals = Signals(recording, OMEGA0, DECAY, 10, 25.0, 0.0)
-    found = signals.projector(lines).through_flow(signals.pick[:, None, :])[:, 0]
+    found = signals.projector(lines).through_flow([signals.pick])[:, 0]
     # a form is a small part of the motion: it may be formed of thinned signals
     exact = expected(recording, lines, 10)
     assert np.abs(found - exact).max() < 3e-6 * np.abs(exact).max()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import form_columns
+from .columns import forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS, behind, conjugate_product
 from .memory import remembered
@@ -85,6 +85,16 @@ def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
     return remembered(replace(s, before=None), lambda _: x, tau_s)
 
 
+def _warmed(s: Signals, tau_s: float) -> FloatArray:
+    """How far the drives' power of some time is behind that of now, shape (n, 1)."""
+    now = _norm(s.drive) ** 2
+    return s.once(("warmed", tau_s), None, lambda: np.asarray(remembered(s, _power, tau_s).real - now))
+
+
+def _power(s: Signals) -> ComplexArray:
+    return (_norm(s.drive) ** 2).astype(np.complex128)
+
+
 #: in the frequency of the motion it is a thermometer that lags, as every one does
 _LATE, _LATE_S = "(T - T of 20 s before) x", 20.0
 #: monomials of a signal x by what they depend on; those of one entry are tried together
@@ -150,6 +160,8 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ],
     ("a constant, also in open drive", "reference"): [lambda s, x: _axis(np.ones_like(x), 0), lambda s, x: _axis(np.ones_like(x), 1)],
     ("|u|^2 x, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * x],
+    ("|u of 3 s|^2 x, u the drives", "drive's power"): [lambda s, x: _norm(s.drive) ** 2 * x, lambda s, x: _warmed(s, 3.0) * x],
+    ("|u of 15 s|^2 x, u the drives", "drive's power"): [lambda s, x: _norm(s.drive) ** 2 * x, lambda s, x: _warmed(s, 15.0) * x],
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
     ("|p_j|^2 x_j, p the motion", "amplitude"): [
         lambda s, x: _axis(_by_motion(s.pick, x), 0),
@@ -171,7 +183,7 @@ _AT_ONCE = ("amplitude", "temperature", "time")
 
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
     """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
-    found = []
+    forms, found = [], []
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in _MONOMIALS.items():
             if text in _TURNING and not evidence.turns:
@@ -184,12 +196,11 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
                 if (kind, phase, text) == ("flow", "in quadrature", _LATE):
                     continue
-                form = _form(kind, monomials, factor, at_once=depends in _AT_ONCE)
-                columns = tuple(form_columns(evidence, form, linear, {}))
-                if not any(np.any(v) for c in columns for v in c.signal):
-                    continue
-                prior = np.full(len(columns), 0.1)
-                found.append((Anonymous(location, phase, text, depends), Candidate(f"{location} {text}", {}, columns, prior)))
+                forms.append((Anonymous(location, phase, text, depends), _form(kind, monomials, factor, at_once=depends in _AT_ONCE)))
+    made = forms_columns(evidence, [(form, {}) for _, form in forms], linear)
+    for (term, _), columns in zip(forms, made, strict=True):
+        if any(np.any(v) for c in columns for v in c.signal):
+            found.append((term, Candidate(f"{term.location} {term.form}", {}, tuple(columns), np.full(len(columns), 0.1))))
     return found + _knees(evidence, linear)
 
 
@@ -198,11 +209,11 @@ def _knees(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, 
     found = []
     for name, kind in _KNEES.items():
         settings = FORMS[name].settings([r.signals for r in evidence])[::_KNEE_STEP]
-        for setting in settings:
-            columns = tuple(form_columns(evidence, FORMS[name], linear, setting))
+        made = forms_columns(evidence, [(FORMS[name], setting) for setting in settings], linear)
+        for setting, columns in zip(settings, made, strict=True):
             if any(np.any(v) for c in columns for v in c.signal):
                 term = Anonymous(LOCATIONS[kind], "in phase", f"what lies beyond {setting['level']:.3g} V", "amplitude")
-                found.append((term, Candidate(term.name, setting, columns, np.array([1.0]), len(settings))))
+                found.append((term, Candidate(term.name, setting, tuple(columns), np.array([1.0]), len(settings))))
     return found
 
 

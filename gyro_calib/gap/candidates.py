@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ..effects import EFFECTS
-from .columns import form_columns
+from .columns import Column, form_columns, forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .parts import SKEW, Linear, Setting
@@ -45,15 +45,15 @@ def candidates_of(
         Called with the fraction done.
     """
     left_out = set(without)
+    signals = [r.signals for r in evidence]
     names = [name for name in FORMS if name not in left_out and name in EFFECTS]
+    tried = [(name, setting, len(settings)) for name in names for settings in [FORMS[name].settings(signals)] for setting in settings]
+    made = forms_columns(evidence, [(FORMS[name], setting) for name, setting, _ in tried], linear, on_progress)
     found: dict[str, list[Candidate]] = {}
-    for k, name in enumerate(names):
-        settings = FORMS[name].settings([r.signals for r in evidence])
-        candidates = [candidate_at(evidence, linear, name, setting, len(settings)) for setting in settings]
-        found[name] = [c for c in candidates if any(np.any(v) for column in c.columns for v in column.signal)]
-        if on_progress is not None:
-            on_progress((k + 1) / len(names))
-    return {name: candidates for name, candidates in found.items() if candidates}
+    for (name, setting, choices), columns in zip(tried, made, strict=True):
+        if any(np.any(v) for column in columns for v in column.signal):
+            found.setdefault(name, []).append(_candidate(name, setting, columns, choices))
+    return found
 
 
 def candidate_at(
@@ -72,7 +72,10 @@ def candidate_at(
     sizes : mapping, optional
         Of an effect that was found: what pick-offs that are not alike make of it is then of known size.
     """
-    columns = tuple(form_columns(evidence, FORMS[name], linear, setting, unlike=sizes is not None))
+    return _candidate(name, setting, form_columns(evidence, FORMS[name], linear, setting, unlike=sizes is not None), choices, sizes)
+
+
+def _candidate(name: str, setting: Setting, columns: Sequence[Column], choices: int, sizes: Mapping[str, float] | None = None) -> Candidate:
     effect = EFFECTS[registry_name(name, setting)]
     typical = {p.name: p.typical for p in effect.parameters if p.name not in setting}
     # a share multiplies an effect whose size is its setting: it is one when that is right
@@ -80,4 +83,4 @@ def candidate_at(
     if sizes is not None:
         own = max((abs(size) for parameter, size in sizes.items() if not parameter.startswith(SKEW)), default=0.0)
         prior |= {c.name: _UNEQUAL * own for c in columns if c.name.startswith(SKEW)}
-    return Candidate(name, setting, columns, np.array([prior[c.name] for c in columns]), choices)
+    return Candidate(name, setting, tuple(columns), np.array([prior[c.name] for c in columns]), choices)

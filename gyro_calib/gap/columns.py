@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import SKEW, Form, Linear, Part, Setting
-from .signals import Projector
+from .signals import Projector, Signals
 
-__all__ = ["QUIET", "SIGNAL", "Column", "Place", "form_columns", "part_columns"]
+__all__ = ["QUIET", "SIGNAL", "Column", "Place", "form_columns", "forms_columns", "part_columns"]
 
 ComplexArray = NDArray[np.complex128]
+#: place of a form among several, and a parameter
+Key = tuple[int, str]
 
 
 @dataclass(frozen=True)
@@ -53,44 +55,78 @@ class Column:
 
 def form_columns(evidence: CampaignEvidence, form: Form, linear: Linear, setting: Setting, *, unlike: bool = False) -> list[Column]:
     """Columns of a form at a setting, one per parameter; ``unlike``: and what pick-offs that are not alike make of it."""
-    by_recording = [
-        [part for part in form.parts(r.signals, linear, setting) if unlike or not part.parameter.startswith(SKEW)] for r in evidence
-    ]
-    return part_columns(evidence, by_recording, linear)
+    return forms_columns(evidence, [(form, setting)], linear, unlike=unlike)[0]
+
+
+def forms_columns(
+    evidence: CampaignEvidence,
+    forms: Sequence[tuple[Form, Setting]],
+    linear: Linear,
+    on_progress: Callable[[float], None] | None = None,
+    *,
+    unlike: bool = False,
+) -> list[list[Column]]:
+    """Columns of many forms at their settings; a recording's are projected all at once.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    forms : sequence of (Form, Setting)
+    linear : Linear
+    on_progress : callable, optional
+        Called with the fraction done.
+    unlike : bool
+        With what pick-offs that are not alike make of them.
+    """
+
+    def parts_of(r: RecordingEvidence) -> list[tuple[Key, Part]]:
+        if on_progress is not None:
+            on_progress(r.index / len(evidence))
+        made = ((k, part) for k, (form, setting) in enumerate(forms) for part in form.parts(r.signals, linear, setting))
+        return [((k, part.parameter), part) for k, part in made if unlike or not part.parameter.startswith(SKEW)]
+
+    columns: list[list[Column]] = [[] for _ in forms]
+    for (k, _), column in _columns(evidence, map(parts_of, evidence), linear).items():
+        columns[k].append(column)
+    return columns
 
 
 def part_columns(evidence: CampaignEvidence, by_recording: Sequence[list[Part]], linear: Linear) -> list[Column]:
     """Columns of parts that every recording has in the same order; parts of one parameter are summed."""
-    names = list(dict.fromkeys(part.parameter for part in by_recording[0]))
-    vectors = {}
-    for place in (SIGNAL, QUIET):
-        by_name: dict[str, list[ComplexArray]] = {name: [] for name in names}
-        for r, parts in zip(evidence, by_recording, strict=True):
-            projector = place.projector(r)
-            found = _projected(projector, parts, linear)
-            for name in names:
-                total = sum((v for part, v in zip(parts, found, strict=True) if part.parameter == name), np.zeros(1, dtype=complex))
-                by_name[name].append(r.turn * total)
-        vectors[place.quiet] = by_name
-    return [Column(name, tuple(vectors[False][name]), tuple(vectors[True][name])) for name in names]
+    return list(_columns(evidence, ([((0, part.parameter), part) for part in parts] for parts in by_recording), linear).values())
 
 
-def _projected(projector: Projector, parts: list[Part], linear: Linear) -> list[ComplexArray]:
-    """What each part adds to the right: plain, G u, or L[V] - A V, with A at the temperature and rate of the moment."""
-    flow = []
-    for part in parts:
-        if part.kind == "flow":
-            flow.append(part.signal)
-        elif part.kind == "drive":
-            flow.append(part.signal @ linear.G.T)
-        elif part.speed is not None:
-            flow.append(part.speed - linear.resting(projector.signals, part.signal))
-        else:
-            flow.append(-linear.acting(projector.signals, part.signal))
-    out = list(projector.plain(np.stack(flow, axis=1)).T)
+def _columns(evidence: CampaignEvidence, by_recording: Iterable[list[tuple[Key, Part]]], linear: Linear) -> dict[Key, Column]:
+    """Columns by form and parameter; one recording's parts are in memory at a time."""
+    vectors: tuple[dict[Key, list[ComplexArray]], ...] = ({}, {})
+    for r, keyed in zip(evidence, by_recording, strict=True):
+        parts = [part for _, part in keyed]
+        added = [_added(r.signals, part, linear) for part in parts]
+        for place, by_key in zip((SIGNAL, QUIET), vectors, strict=True):
+            totals: dict[Key, ComplexArray] = {}
+            for (key, _), found in zip(keyed, _projected(place.projector(r), parts, added), strict=True):
+                totals[key] = totals[key] + found if key in totals else found
+            for key, total in totals.items():
+                by_key.setdefault(key, []).append(r.turn * total)
+    return {key: Column(key[1], tuple(signal), tuple(vectors[1][key])) for key, signal in vectors[0].items()}
+
+
+def _added(s: Signals, part: Part, linear: Linear) -> ComplexArray:
+    """What a part adds to the right: plain, G u, or of L[V] - A V, with A at the temperature and rate of the moment, all but L[V]."""
+    if part.kind == "flow":
+        return part.signal
+    if part.kind == "drive":
+        return np.asarray(part.signal @ linear.G.T)
+    if part.speed is not None:
+        return np.asarray(part.speed - linear.resting(s, part.signal))
+    return -linear.acting(s, part.signal)
+
+
+def _projected(projector: Projector, parts: Sequence[Part], added: Sequence[ComplexArray]) -> list[ComplexArray]:
+    """Projections of what each part adds."""
+    out = list(projector.plain(added).T)
     outputs = [k for k, part in enumerate(parts) if part.kind == "output" and part.speed is None]
     if outputs:
-        through = projector.through_flow(np.stack([parts[k].signal for k in outputs], axis=1))
-        for column, k in zip(through.T, outputs, strict=True):
+        for column, k in zip(projector.through_flow([parts[k].signal for k in outputs]).T, outputs, strict=True):
             out[k] = out[k] + column
     return out

@@ -1,8 +1,9 @@
-"""Gains, phases and damping that follow the clock as no registry has it: to and fro, another from a moment on, anew in each recording.
+"""Gains, phases and damping that follow the clock as no registry has it: to and fro, another from a moment on or in one recording alone,
+anew in each recording.
 
-A thermostat's cycle, a supply that is refreshed, a contact that moved, a stage that is muted between recordings: their sources are without
-number, their courses of time are few. Within a recording a course is a parabola, so a handful of projected columns makes them all: each
-kind of signal times the first three Legendre polynomials of the recording's time.
+A thermostat's cycle, a supply that is refreshed, a contact that moved or failed, a stage that is muted between recordings: their
+sources are without number, their courses of time are few. Within a recording a course is a parabola, so a handful of projected columns
+makes them all: each kind of signal times the first three Legendre polynomials of the recording's time.
 """
 
 from __future__ import annotations
@@ -32,13 +33,24 @@ _MOMENTS = 3
 _SHORTEST_S, _FINER, _LONGEST = 15.0, 0.5, 0.5
 #: how soon what is switched on with a recording settles [s]
 _SETTLING_S = (2.0, 5.0, 15.0)
-#: size of an unnamed course over the signal that it multiplies, sd: one of order one would wipe out an axis that holds but noise
+#: size of an unnamed course over the gain or the damping that it changes, sd: one of order one would wipe out an axis that holds but noise
 _SIZE = 0.01
 #: where and in which phase: two unknowns of an axis each, or one of both
 _PLACES = (
     *((location, phase) for location in ("drive", "pick-off") for phase in ("in phase", "in quadrature")),
     ("dynamics", "in phase"),
 )
+
+
+@dataclass(frozen=True)
+class _Worth:
+    """What a course of one place explains."""
+
+    log_evidence: float
+    gain: float
+    rank: int
+    course: int
+    place: tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -75,7 +87,16 @@ class Courses:
 
     def best(self, screener: Screener, whitener: Whitener) -> tuple[Screened, Anonymous] | None:
         """The course that is worth most beside what a screener holds."""
-        best: tuple[float, int, tuple[str, str]] | None = None
+        best = max(self._worths(screener, whitener), key=lambda w: w.log_evidence, default=None)
+        if best is None:
+            return None
+        found = screener.screen(self._candidate(best.course, best.place))
+        if found is None:
+            return None
+        return replace(found, gain=best.gain, rank=best.rank), Anonymous(*best.place, self.forms[best.course][0], "time")
+
+    def _worths(self, screener: Screener, whitener: Whitener) -> Iterator[_Worth]:
+        """Every course of every place that may be larger than the noise."""
         rows = whitener.design(self.base, self.weights.shape[1])
         recording = np.repeat(np.arange(self.weights.shape[1]), [2 * v.size for v in self.base[0].signal])
         for place in dict.fromkeys(self.names):
@@ -86,16 +107,8 @@ class Courses:
             for k, (_, choices) in enumerate(self.forms):
                 columns = clean[:, self.of_course == k].reshape(len(clean), -1)
                 gain, rank = _explained(columns, screener.left)
-                if rank and (best is None or worth(gain, rank, choices) > best[0]):
-                    best = worth(gain, rank, choices), k, place
-        if best is None:
-            return None
-        candidate = self._candidate(best[1], best[2])
-        found = screener.screen(candidate)
-        if found is None:
-            return None
-        gain, rank = _explained(screener.projected(candidate.columns)[0], screener.left)
-        return replace(found, gain=gain, rank=rank), Anonymous(*best[2], self.forms[best[1]][0], "time")
+                if rank:
+                    yield _Worth(worth(gain, rank, choices), gain, rank, k, place)
 
     def _candidate(self, course: int, place: tuple[str, str]) -> Candidate:
         """A course as an effect."""
@@ -122,28 +135,26 @@ def courses_of(evidence: CampaignEvidence, linear: Linear) -> Courses:
     """Project what the courses of a campaign are made of."""
     base = part_columns(evidence, [_parts(r.signals, linear) for r in evidence], linear)
     courses = list(_courses(evidence))
-    weights, of_course = [], []
-    for k, course in enumerate(courses):
-        for function in course.functions:
-            weights.append([_moments(r.signals, function) for r in evidence])
-            of_course.append(k)
+    functions = [function for course in courses for function in course.functions]
+    weights = np.stack([_moments(r.signals, functions) for r in evidence], axis=1)
+    of_course = np.repeat(np.arange(len(courses)), [len(course.functions) for course in courses])
     names = tuple(_PLACES[int(c.name.split(".")[0])] for c in base)
     forms = tuple((c.form, c.choices) for c in courses)
-    return Courses(tuple(base), names, forms, np.array(weights), np.array(of_course))
+    return Courses(tuple(base), names, forms, weights, of_course)
 
 
 def _parts(s: Signals, d: Linear) -> list[Part]:
-    place = np.linspace(-1.0, 1.0, len(s.time_s))
     motion = s.pick - s.drive @ d.E.T
+    decay = 0.5 * abs(float(np.trace(d.A).real))
     parts = []
     for k, (location, phase) in enumerate(_PLACES):
         factor = 1.0 + 0j if phase == "in phase" else 1j
         for axis in range(1 if location == "dynamics" else 2):
             for m in range(_MOMENTS):
-                w = factor * legendre.legval(place, np.eye(_MOMENTS)[m])[:, None]
+                w = factor * _polynomial(s, m)[:, None]
                 name = f"{k}.{axis}.{m}"
                 if location == "dynamics":
-                    parts.append(Part(name, "flow", -w * motion))
+                    parts.append(Part(name, "flow", -decay * w * motion))
                 elif location == "drive":
                     parts.append(Part(name, "drive", w * s.drive * np.eye(2)[axis]))
                 else:
@@ -153,23 +164,32 @@ def _parts(s: Signals, d: Linear) -> list[Part]:
 
 def _courses(evidence: CampaignEvidence) -> Iterator[_Course]:
     """All courses that are tried."""
-    starts = sorted(float(r.signals.time_s[0]) for r in evidence)
-    span = max(float(r.signals.time_s[-1]) for r in evidence) - starts[0]
+    starts = sorted((float(r.signals.time_s[0]), r.signals.index) for r in evidence)
+    first = starts[0][0]
+    span = max(float(r.signals.time_s[-1]) for r in evidence) - first
     frequencies = np.arange(1.0 / (_LONGEST * span), 1.0 / _SHORTEST_S, _FINER / span)
     for f in frequencies:
         functions = tuple(lambda s, f=f, wave=wave: wave(2.0 * math.pi * f * s.time_s) for wave in (np.cos, np.sin))  # type: ignore[misc]
-        yield _Course(f"x, to and fro every {1.0 / f:.0f} s", max(len(frequencies), 1), functions)
-    for start in starts[1:]:
-        yield _Course(f"x, another from {start:.0f} s on", len(starts), (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),))  # type: ignore[misc]
+        yield _Course(f"x, to and fro every {1.0 / f:.0f} s", len(frequencies), functions)
+    for start, _ in starts[1:]:
+        yield _Course(f"x, another from {start:.0f} s on", len(starts) - 1, (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),))  # type: ignore[misc]
+    for start, index in starts:
+        alone = tuple(lambda s, index=index, m=m: (s.index == index) * _polynomial(s, m) for m in range(_MOMENTS))  # type: ignore[misc]
+        yield _Course(f"x, another in the recording at {start:.0f} s alone", len(starts), alone)
     for tau in _SETTLING_S:
         settling = (lambda s, tau=tau: np.exp(-(s.time_s - s.time_s[0]) / tau),)  # type: ignore[misc]
         yield _Course(f"x, settling anew in each recording over {tau:.0f} s", len(_SETTLING_S), settling)
 
 
-def _moments(s: Signals, function: Callable[[Signals], FloatArray]) -> FloatArray:
-    """A course of one recording in Legendre polynomials."""
+def _polynomial(s: Signals, degree: int) -> FloatArray:
+    """Legendre polynomial of a recording's time."""
+    return np.asarray(legendre.legval(np.linspace(-1.0, 1.0, len(s.time_s)), np.eye(_MOMENTS)[degree]))
+
+
+def _moments(s: Signals, functions: Sequence[Callable[[Signals], FloatArray]]) -> FloatArray:
+    """Functions of one recording in Legendre polynomials, shape (functions, 3)."""
     place = np.linspace(-1.0, 1.0, len(s.time_s))
-    return np.asarray(legendre.legfit(place, function(s), _MOMENTS - 1))
+    return np.asarray(legendre.legfit(place, np.stack([function(s) for function in functions], axis=1), _MOMENTS - 1).T)
 
 
 def _explained(columns: FloatArray, left: FloatArray) -> tuple[float, int]:

@@ -17,6 +17,7 @@ from .forms import FORMS
 from .linear_device import linear_of
 from .model import CampaignModel
 from .parts import Linear
+from .screen import Screener
 from .system import solve
 
 __all__ = ["ExactLevel", "best_exact_level"]
@@ -39,20 +40,31 @@ class ExactLevel:
 
 def best_exact_level(model: CampaignModel) -> ExactLevel | None:
     """The effect and level that leave least; nothing when no level was tried."""
-    found = [_exact(model, name, float(candidate.setting["level"])) for name in _EFFECTS for candidate in model.candidates.get(name, ())]
-    if not found:
+    rest = Screener(model.whitener, [c for c in model.nuisances if not _is_gain(c)], model.target)
+    tried = [(name, float(candidate.setting["level"])) for name in _EFFECTS for candidate in model.candidates.get(name, ())]
+    if not tried:
         return None
-    best = min(found, key=lambda e: e.chi2)
+    least, (name, level) = min((_left(model, rest, *at), at) for at in tried)
     for width in _FINER:
-        best = min([best, *(_exact(model, best.name, best.level * factor) for factor in (1.0 - width, 1.0 + width))], key=lambda e: e.chi2)
-    return best
+        for near in (level * (1.0 - width), level * (1.0 + width)):
+            if (left := _left(model, rest, name, near)) < least:
+                least, level = left, near
+    return _exact(model, name, level)
+
+
+def _left(model: CampaignModel, rest: Screener, name: str, level: float) -> float:
+    """Chi-square that the linear device leaves behind such a drive: all columns but those of G stay as they are."""
+    extra = _extra_drive(model, name, level)
+    gains, _ = rest.projected([_with(c, extra) for c in model.nuisances if _is_gain(c)])
+    values = np.linalg.lstsq(gains, rest.left, rcond=None)[0]
+    left = rest.left - gains @ values
+    return float(left @ left)
 
 
 def _exact(model: CampaignModel, name: str, level: float) -> ExactLevel:
     extra = _extra_drive(model, name, level)
     columns = [_with(c, extra) for c in model.nuisances]
-    count = len(model.evidence)
-    solution = solve(columns, model.whitener.design(columns, count), model.whitener.rows(model.target))
+    solution = solve(columns, model.whitener.design(columns, len(model.evidence)), model.whitener.rows(model.target))
     linear = linear_of(model.evidence, solution.by_name(), model.linear.angular_gain)
     return ExactLevel(name, level, linear, solution.chi2)
 
@@ -62,17 +74,19 @@ def _extra_drive(model: CampaignModel, name: str, level: float) -> dict[str, lis
     extra: dict[str, list[ComplexArray]] = {}
     for r in model.evidence:
         change = next(p.signal for p in FORMS[name].parts(r.signals, model.linear, {"level": level}))
-        x = np.zeros((change.shape[0], 4, 2), dtype=complex)
-        for a in range(2):
-            for b in range(2):
-                x[:, 2 * a + b, a] = change[:, b]
-        for place, column in zip(("xx", "xy", "yx", "yy"), r.signal_forms.plain(x).T, strict=True):
+        # entry (a, b) of G takes the drive of axis b to axis a
+        entries = [change[:, b, None] * np.eye(2)[a] for a in range(2) for b in range(2)]
+        for place, column in zip(("xx", "xy", "yx", "yy"), r.signal_forms.plain(entries).T, strict=True):
             extra.setdefault(place, []).append(r.turn * column)
     return extra
 
 
+def _is_gain(c: Column) -> bool:
+    return c.name.startswith("G_")
+
+
 def _with(c: Column, extra: dict[str, list[ComplexArray]]) -> Column:
-    if not c.name.startswith("G_"):
+    if not _is_gain(c):
         return c
     _, place, part = c.name.split("_")
     factor = 1.0 if part == "re" else 1j

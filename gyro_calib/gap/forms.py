@@ -73,7 +73,7 @@ def _dry(p: ComplexArray) -> ComplexArray:
 
 
 def _motion(s: Signals, d: Linear) -> ComplexArray:
-    return np.asarray(s.pick - s.drive @ d.E.T)
+    return s.once("motion", d, lambda: np.asarray(s.pick - s.drive @ d.E.T))
 
 
 def _only(x: ComplexArray, axis: int) -> ComplexArray:
@@ -93,7 +93,7 @@ def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
 def _velocity(s: Signals, d: Linear) -> ComplexArray:
     """What damping acts on, over i omega0: of a wave that turns or grows the velocity is not quite the motion a quarter period on."""
     p = _motion(s, d)
-    return np.asarray(p + np.gradient(p, s.row_s, axis=0) / (1j * s.omega0_rad_s))
+    return s.once("velocity", d, lambda: np.asarray(p + np.gradient(p, s.row_s, axis=0) / (1j * s.omega0_rad_s)))
 
 
 def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
@@ -190,7 +190,7 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 def behind(s: Signals, tau_s: float) -> ComplexArray:
     """By how much the temperature is ahead of itself through a low-pass [K], shape (n, 1)."""
-    return np.asarray(_temperature(s) - remembered(s, _temperature, tau_s, steady=False))
+    return s.once(("behind", tau_s), None, lambda: np.asarray(_temperature(s) - remembered(s, _temperature, tau_s, steady=False)))
 
 
 def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:

@@ -159,9 +159,7 @@ def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
         for r in evidence:
             s = r.signals
             curvature = np.gradient(np.gradient(s.rate_rad_s, s.row_s), s.row_s)[:, None]
-            vectors.append(
-                r.turn * place.projector(r).plain((curvature * np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1))[:, None, :])[:, 0]
-            )
+            vectors.append(r.turn * place.projector(r).plain([curvature * np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1)])[:, 0])
         sides.append(tuple(vectors))
     row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
     return [Column("table_blur", sides[0], sides[1], ROW_MOMENT * row_s**2 + _TABLE_LAG_S**2)]
@@ -190,9 +188,9 @@ def _feedthrough(place: str, evidence: CampaignEvidence, linear: Linear | None, 
         for r in evidence:
             vector = (r.quiet if where.quiet else r.signal).drive_rate[:, a, b]
             if linear is not None and linear.followed_rad_s:
-                still = np.zeros((len(r.signals.time_s), 1, 2), complex)
-                still[:, 0, a] = 1j * linear.followed_rad_s[r.index] * r.signals.drive[:, b]
-                vector = vector - where.projector(r).plain(still)[:, 0]
+                still = np.zeros((len(r.signals.time_s), 2), complex)
+                still[:, a] = 1j * linear.followed_rad_s[r.index] * r.signals.drive[:, b]
+                vector = vector - where.projector(r).plain([still])[:, 0]
             vectors.append(r.turn * vector)
         sides.append(vectors)
     if not any(np.any(v) for v in sides[0]):

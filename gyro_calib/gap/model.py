@@ -16,7 +16,7 @@ from .columns import Column
 from .courses import Courses, courses_of
 from .evidence import CampaignEvidence
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, linear_columns, linear_of, span_k, target_of
-from .noise import first_noise, measured_noise, with_repeats
+from .noise import PlainNoise, first_noise, measured_noise, plain_noise, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
@@ -25,7 +25,7 @@ from .screen import Candidate, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
-from .thermometer import thermometer_columns
+from .thermometer import THERMOMETER, thermometer_columns
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -34,7 +34,7 @@ ComplexArray = NDArray[np.complex128]
 _WANDER, _MOST_WANDER = 5e-8, 5e-7
 #: on what unnamed terms of the saturated model depend
 _STRANGE = ("amplitude", "drive")
-#: log evidence of a course of time from which on it is allowed for when the noise is measured
+#: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
 _COURSE = 15.0
 #: what an unnamed term that depends on something needs
 _NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
@@ -140,13 +140,14 @@ def look_at(
     bank = [(term, c) for term, c in anonymous_candidates(evidence, linear) if _NEEDED.get(term.depends_on) not in missing]
     courses = courses_of(evidence, linear)
     report(0.75, "noise")
-    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, candidates, bank, angular_gain, most, errs)
+    plain = plain_noise(evidence, nuisances, angular_gain)
+    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, candidates, bank, angular_gain, most, plain)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     course = courses.best(screener, whitener)
     if course is not None and worth(course[0].gain, course[0].rank, course[0].candidate.choices) > _COURSE:
         # what repeats differ by is then no noise
         whitener, noise, excess, held = _weighed(
-            evidence, linear, nuisances, candidates, bank, angular_gain, most, errs, [course[0].candidate]
+            evidence, linear, nuisances, candidates, bank, angular_gain, most, plain, [course[0].candidate]
         )
         screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
@@ -162,7 +163,7 @@ def _weighed(
     bank: Sequence[tuple[Anonymous, Candidate]],
     angular_gain: float,
     most_rad_s: float,
-    errs: Sequence[Column],
+    plain: PlainNoise,
     strangers: Sequence[Candidate] = (),
 ) -> tuple[Whitener, NoiseByRole, Mapping[tuple[int, str], float], list[Column]]:
     """Noise, measured with all effects and ``strangers`` allowed for, and the nuisances at the sizes that they have."""
@@ -172,16 +173,17 @@ def _weighed(
     held = [*nuisances, *slow_drifts(evidence, linear)]
     allowed = [*saturated_columns(evidence, linear, held, candidates, [*turned, *strange]), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
-    noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, nuisances)
+    noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
     family = _random_family(evidence)
     of_time = [*held, *columns_of_time(candidates), *effect_columns(strangers)]
     shares = _random_shares(evidence, family, [allowed, of_time], whitener, whitener.rows(target))
     # what wanders is the temperature: its sensor errs in the same share
-    wanders = {c.name: "shift" for c in errs}
     sized = with_shares(
-        [*held, *slow_columns(evidence, linear, most_rad_s * shares["shift"])], lambda c: wanders.get(c.name) or family(c), shares
+        [*held, *slow_columns(evidence, linear, most_rad_s * shares["shift"])],
+        lambda c: "shift" if c.name.startswith(THERMOMETER) else family(c),
+        shares,
     )
     # once the drifts have their size, repeats have the freedom to say how far a mean errs by itself
     noise = with_repeats(evidence, with_shares(allowed, family, shares), noise, excess, target)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
 from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Whitener, solve
 
-__all__ = ["first_noise", "measured_noise", "with_repeats"]
+__all__ = ["PlainNoise", "first_noise", "measured_noise", "plain_noise", "with_repeats"]
 
 ComplexArray = NDArray[np.complex128]
 Key = tuple[str, str]
@@ -58,33 +58,55 @@ def first_noise(evidence: CampaignEvidence) -> dict[Key, NoiseLaw]:
     }
 
 
+@dataclass(frozen=True)
+class PlainNoise:
+    """What a model without effects says.
+
+    Parameters
+    ----------
+    floor : mapping
+        Noise below which that of a saturated model does not fall, by role and channel.
+    gains : mapping
+        Drive gains that it keeps near.
+    """
+
+    floor: Mapping[Key, NoiseLaw]
+    gains: Mapping[str, float]
+
+
+def plain_noise(evidence: CampaignEvidence, plain: Sequence[Column], angular_gain: float) -> PlainNoise:
+    """Noise beside the nuisances ``plain`` alone, least where nothing was commanded to change, and the drive gains."""
+    whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
+    noise, solution = _iterated(evidence, plain, whole, quiet, {})
+    floor = {key: law.floor(_FLOOR) for key, law in noise.items()}
+    steady = _steady(evidence, solution, noise, quiet)
+    parents = {r.role: r.parent_role for r in evidence}
+    for role, channel in noise:
+        if (law := steady.get((parents.get(role, role), channel))) is not None:
+            floor[role, channel] = law.floor(_STEADY_FLOOR)
+    return PlainNoise(floor, {name: value for name, value in solution.by_name().items() if name.startswith("G_")})
+
+
 def measured_noise(
     evidence: CampaignEvidence,
     saturated: Sequence[Column],
     of_rate: Sequence[Column],
     angular_gain: float,
-    plain: Sequence[Column] = (),
+    plain: PlainNoise | None = None,
 ) -> tuple[NoiseByRole, Excess]:
     """Noise by role and channel, from what the saturated model leaves at quiet and at signal lines; and recordings that are louder.
 
-    ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show. ``plain``: a model without
-    effects. The saturated model keeps near its drive gains, and its noise does not fall far below that one's, least where nothing was
-    commanded to change: in a closed loop the drive is the controller's answer to the pick-off, noise and all. With gains and effects of
-    the read-out free against each other, as one amplitude or one axis leaves them, that law explains the noise itself, and the less there
-    is left the more it weighs.
+    ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show. The saturated model keeps near
+    the drive gains of a ``plain`` one, and its noise does not fall far below that one's: in a closed loop the drive is the controller's
+    answer to the pick-off, noise and all. With gains and effects of the read-out free against each other, as one amplitude or one axis
+    leaves them, that law explains the noise itself, and the less there is left the more it weighs.
     """
     whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
     target, floor = whole, {}
-    if plain:
-        noise, solution = _iterated(evidence, plain, whole, quiet, {})
-        floor = {key: law.floor(_FLOOR) for key, law in noise.items()}
-        steady = _steady(evidence, solution, noise, quiet)
-        parents = {r.role: r.parent_role for r in evidence}
-        for role, channel in noise:
-            if (law := steady.get((parents.get(role, role), channel))) is not None:
-                floor[role, channel] = law.floor(_STEADY_FLOOR)
-        saturated, target, quiet = _held(saturated, solution.by_name(), whole, quiet)
-    noise, solution = _iterated(evidence, saturated, target, quiet, floor)
+    if plain is not None:
+        floor = dict(plain.floor)
+        saturated, target, quiet = _held(saturated, plain.gains, whole, quiet)
+    noise, _ = _iterated(evidence, saturated, target, quiet, floor)
     noise = with_repeats(evidence, saturated, noise, {}, target)
     noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
     return noise, _with_table(evidence, of_rate, noise, excess, whole)
@@ -113,7 +135,7 @@ def _held(
     columns: Sequence[Column], about: Mapping[str, float], target: Sequence[ComplexArray], quiet: Sequence[ComplexArray]
 ) -> tuple[list[Column], list[ComplexArray], list[ComplexArray]]:
     """Columns and targets with the drive gains known to a share, and what they explain at those values taken off."""
-    gains = {c.name: about[c.name] for c in columns if c.name.startswith("G_") and c.name in about}
+    gains = {c.name: about[c.name] for c in columns if c.name in about}
     sd = _GAIN_SHARE * max((abs(v) for v in gains.values()), default=0.0)
     known = [c for c in columns if c.name in gains]
     held = [replace(c, prior_sd=sd) if c.name in gains else c for c in columns]

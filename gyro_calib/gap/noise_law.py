@@ -24,6 +24,8 @@ _NEIGHBOURS, _CAP, _MEDIAN = 41, 9.0, 0.455
 WHITE, PICKOFF = 0, 2
 _TERMS = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3))
 _FAST_TERMS = ((0,), (0, 2))
+#: rounds of the reweighted fit, and by how much it may still change
+_MOST_ROUNDS, _SETTLED = 15, 1e-4
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,10 @@ def _whittle(basis: FloatArray, squares: FloatArray) -> FloatArray:
     scaled = basis / size
     expected = np.full(squares.size, max(float(squares.mean()), 1e-300))
     found = np.zeros(basis.shape[1])
-    for _ in range(15):
+    for _ in range(_MOST_ROUNDS):
+        before = found
         found, _ = nnls(scaled / expected[:, None], squares / expected)
+        if np.allclose(found, before, rtol=_SETTLED, atol=_SETTLED * float(found.max(initial=0.0))):
+            break
         expected = np.maximum(scaled @ found, 1e-6 * float(squares.mean()) + 1e-300)
     return np.asarray(found / size)

@@ -15,7 +15,7 @@ from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .linear_device import ROW_MOMENT, collected, span_k
-from .parts import Linear, Part
+from .parts import Linear, Part, read_at_once
 from .signals import SMOOTH_S
 
 __all__ = [
@@ -77,7 +77,7 @@ def _kicks(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         kick = (step @ linear.G.T).conj() / (2.0 * evidence.omega0_rad_s * s.row_s)
         sides = []
         for place in (SIGNAL, QUIET):
-            kicked = r.turn * place.projector(r).plain(kick[:, None, :])[:, 0]
+            kicked = r.turn * place.projector(r).plain([kick])[:, 0]
             sides.append([kicked if o is r else np.zeros_like((o.quiet if place.quiet else o.signal).lhs) for o in evidence])
         for name, turn in (("re", 1.0), ("im", 1j)):
             columns.append(Column(f"kick_{r.index}_{name}", tuple(turn * v for v in sides[0]), tuple(turn * v for v in sides[1]), 1.0))
@@ -147,11 +147,17 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
             for name, factor in (("gain", 1.0), ("phase", 1j))
             for k, a in enumerate("xy")
         ]
+        parts += [
+            read_at_once(f"gradient_pickoff_{name}_{a}", r.signals, linear, lambda v, w=factor * slope * axis: w * v)  # type: ignore[misc]
+            for name, factor in (("gain", 1.0), ("phase", 1j))
+            for axis, a in zip(np.eye(2), "xy", strict=True)
+        ]
         turned = r.signals.temperature_k[:, None] * np.stack([motion[:, 1], -motion[:, 0]], axis=1)
         by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion), Part("rate_per_k", "flow", turned)])
     damping = abs(np.trace(linear.A).real) / 2.0
     sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
     sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
+    sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PICKOFF_PHASE_PER_K * _GRADIENT_LAG_S)
     found = part_columns(evidence, by_recording, linear)
     return [replace(c, prior_sd=sizes.get(c.name, _GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
 

@@ -110,17 +110,18 @@ def read_at_once(parameter: str, s: Signals, d: Linear, f: Callable[[ComplexArra
     ``L[o] - A o`` holds the resonance's distance from the reference twice, and it cancels where f turns with the phase of V. So the flow
     says how fast o changes, and nobody needs to know where the resonance was: to 1e-4 rad/s no thermometer knows that.
     """
+    forth, back, step = s.once("beside the flow", d, lambda: _beside(s, d))
+    read = f(s.pick)
+    # how f itself changes with time: all of the change, but for what the recorded motion makes of it, what the flow does
+    along = (f(forth) - f(back)) / (2.0 * step)
+    return Part(parameter, "output", read, np.asarray(np.gradient(read, s.row_s, axis=0) + along))
+
+
+def _beside(s: Signals, d: Linear) -> tuple[ComplexArray, ComplexArray, float]:
+    """The pick-off's volts moved by what the flow says of their speed beyond what was recorded: forth, back, and for how long [s]."""
     v = s.pick
     flow = d.resting(s, v - s.drive @ d.E.T) + s.drive @ d.G.T + np.gradient(s.drive, s.row_s, axis=0) @ d.E.T
-    # how f itself changes with time: all of the change less what the recorded motion makes of it
-    itself = np.gradient(f(v), s.row_s, axis=0) - _along(f, v, np.gradient(v, s.row_s, axis=0))
-    return Part(parameter, "output", f(v), itself + _along(f, v, flow))
-
-
-def _along(f: Callable[[ComplexArray], ComplexArray], v: ComplexArray, speed: ComplexArray) -> ComplexArray:
-    """Derivative of f at v along a speed."""
+    speed = flow - np.gradient(v, s.row_s, axis=0)
     fastest = float(np.linalg.norm(speed))
-    if fastest == 0.0:
-        return np.zeros_like(v)
-    step = _STEP * float(np.linalg.norm(v)) / fastest
-    return np.asarray((f(v + step * speed) - f(v - step * speed)) / (2.0 * step))
+    step = _STEP * float(np.linalg.norm(v)) / fastest if fastest > 0.0 else 1.0
+    return np.asarray(v + step * speed), np.asarray(v - step * speed), step

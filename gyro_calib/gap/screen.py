@@ -24,8 +24,6 @@ FloatArray = NDArray[np.float64]
 #: singular values below this share of the column's norm are directions that the nuisances imitate; of an effect that a healthy device has
 #: as well, and that is larger than a healthy device has it, the nuisance is the effect itself and imitates it but for its prior
 _ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
-
-
 #: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
 _PRICE = 3.4
 

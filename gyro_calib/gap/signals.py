@@ -6,9 +6,10 @@ correction: it is enough to form it from the thinned signals, so that fifty of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ __all__ = ["SMOOTH_S", "WARMING_K", "Signals", "smooth_temperature", "with_pick"
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
+Made = TypeVar("Made")
 
 #: temperature span of a recording from which on its temperature moved [K]; over how long a sensor is smoothed then [s]
 WARMING_K, SMOOTH_S = 0.3, 0.4
@@ -88,6 +89,17 @@ class Signals:
     before: Signals | None = field(default=None, repr=False, compare=False)
 
     @cached_property
+    def _known(self) -> dict[Hashable, tuple[Any, Any]]:
+        return {}
+
+    def once(self, key: Hashable, of: object, make: Callable[[], Made]) -> Made:
+        """What many forms need of these signals, made once: ``key`` says what, ``of`` the object besides the signals that it depends on."""
+        if key not in self._known or self._known[key][0] is not of:
+            self._known[key] = (of, make())
+        made: Made = self._known[key][1]
+        return made
+
+    @cached_property
     def row_s(self) -> float:
         """Time of a thinned row [s]."""
         return self.width / self.recording.sample_rate_hz
@@ -138,21 +150,23 @@ class Signals:
 
 def with_pick(signals: Signals, pick: ComplexArray) -> Signals:
     """The same signals with other pick-off volts."""
-    other = replace(signals)
-    other.__dict__.update({**signals.__dict__, "pick": pick})
-    return other
+    return _with(signals, "pick", pick)
 
 
 def with_temperature(signals: Signals, temperature_k: float | FloatArray) -> Signals:
     """The same signals at another temperature, row by row or one that stands still."""
+    return _with(signals, "temperature_k", np.broadcast_to(temperature_k, signals.time_s.shape))
+
+
+def _with(signals: Signals, name: str, value: object) -> Signals:
     other = replace(signals)
-    other.__dict__.update({**signals.__dict__, "temperature_k": np.broadcast_to(temperature_k, signals.time_s.shape)})
+    other.__dict__.update({key: known for key, known in signals.__dict__.items() if key != "_known"} | {name: value})
     return other
 
 
 @dataclass(frozen=True)
 class Projector:
-    """Projects signals of shape (n, k, 2) to equations (2 m, k): along the wave first, then across."""
+    """Projects k signals of shape (n, 2) to equations (2 m, k): along the wave first, then across."""
 
     signals: Signals
     frequency_hz: FloatArray
@@ -187,11 +201,11 @@ class Projector:
             parts.append(s.row_s * operator.reshape(len(self.value), -1))
         return np.concatenate(parts)
 
-    def plain(self, x: ComplexArray) -> ComplexArray:
-        """Projection of what is added to p', x of shape (n, k, 2)."""
-        flat = np.swapaxes(x, 1, 2).reshape(-1, x.shape[1])
-        return np.asarray(self._plain @ flat.real + 1j * (self._plain @ flat.imag))
+    def plain(self, signals: Sequence[ComplexArray]) -> ComplexArray:
+        """Projections of what is added to p'."""
+        flat = np.stack([part.ravel() for x in signals for part in (x.real, x.imag)])
+        return np.ascontiguousarray(self._plain @ flat.T).view(np.complex128)
 
-    def through_flow(self, x: ComplexArray) -> ComplexArray:
-        """Projection of L[x]: what a change of the pick-off's volts adds to the left of the slow flow."""
-        return np.asarray(self._through_flow @ np.swapaxes(x, 1, 2).reshape(-1, x.shape[1]))
+    def through_flow(self, signals: Sequence[ComplexArray]) -> ComplexArray:
+        """Projections of L[x]: what a change x of the pick-off's volts adds to the left of the slow flow."""
+        return np.asarray(self._through_flow @ np.stack([x.ravel() for x in signals]).T)

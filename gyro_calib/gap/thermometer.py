@@ -15,9 +15,11 @@ from .nuisance import NOTICED_K, following_columns
 from .parts import Linear
 from .signals import with_temperature
 
-__all__ = ["thermometer_columns"]
+__all__ = ["THERMOMETER", "thermometer_columns"]
 
 ComplexArray = NDArray[np.complex128]
+#: how the names of these columns begin
+THERMOMETER = "thermometer_"
 
 
 def thermometer_columns(evidence: CampaignEvidence, linear: Linear, values: Mapping[str, float], error_k: float) -> list[Column]:
@@ -43,7 +45,7 @@ def thermometer_columns(evidence: CampaignEvidence, linear: Linear, values: Mapp
         signal = _alone(k, [values[c.name] * c.signal[k] for c in found], [o.signal.lhs.size for o in evidence])
         quiet = _alone(k, [values[c.name] * c.quiet[k] for c in found], [o.quiet.lhs.size for o in evidence])
         if r.is_wave and np.any(signal[k]):
-            columns.append(Column(f"thermometer_{r.index}", signal, quiet, error_k))
+            columns.append(Column(f"{THERMOMETER}{r.index}", signal, quiet, error_k))
     return columns
 
 
