@@ -15,11 +15,13 @@ from gyro_calib.gap import diagnose
 from gyro_calib.gap.evidence import CampaignEvidence
 from gyro_calib.gap.linear_device import frequency_columns, linear_columns
 from gyro_calib.gap.model import CampaignModel, look_at
+from gyro_calib.gap.noise import _repeated, with_repeats
 from gyro_calib.gap.nuisance import following_columns, thermal_columns
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import with_temperature
+from gyro_calib.gap.system import NoiseByRole, Whitener, solve
 from gyro_calib.gap.thermometer import thermometer_columns
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
@@ -81,6 +83,24 @@ def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() ->
     size, sd = max(found[0].sizes().values(), key=lambda pair: abs(pair[0] / pair[1]))
     assert abs(size) == pytest.approx(5e-4, abs=0.05 * 5e-4 + 4.0 * sd)
     assert select_effects(model).stranger is not None
+
+
+def test_a_reading_that_is_another_in_every_recording_is_noise() -> None:
+    """Of their means: that is where repeats differ, and no model of the device says by how much."""
+    rng = np.random.default_rng(3)
+    gains = {r.label: 1e-4 * rng.standard_normal() for r in clean()}
+    model = model_of(with_reading_gain(lambda r, start: np.full(len(r.t), gains[r.label])))
+    steady = {key: replace(law, mean=0.0) for key, law in model.noise.items()}
+
+    def repeats_over_noise(noise: NoiseByRole) -> float:
+        whitener = Whitener.of(model.evidence, noise, model.excess)
+        design = whitener.design(model.nuisances, len(model.evidence))
+        found = _repeated(model.evidence, solve(model.nuisances, design, whitener.rows(model.target)), noise)
+        return sum(square for square, _, _ in found.values()) / sum(free for _, free, _ in found.values())
+
+    heard = with_repeats(model.evidence, model.nuisances, steady, model.excess, model.target)
+    assert repeats_over_noise(steady) > 3.0
+    assert repeats_over_noise(heard) < 1.5
 
 
 def test_a_healthy_floor_is_no_course() -> None:

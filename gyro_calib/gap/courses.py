@@ -1,7 +1,6 @@
-"""Gains, phases and damping that follow the clock as no registry has it: to and fro, another from a moment on or in one recording alone,
-anew in each recording.
+"""Gains, phases and damping that follow the clock as no registry has it: to and fro, another from a moment on, anew in each recording.
 
-A thermostat's cycle, a supply that is refreshed, a contact that moved or failed, a stage that is muted between recordings: their
+A thermostat's cycle, a supply that is refreshed, a contact that moved, a stage that is muted between recordings: their
 sources are without number, their courses of time are few. Within a recording a course is a parabola, so a handful of projected columns
 makes them all: each kind of signal times the first three Legendre polynomials of the recording's time.
 """
@@ -164,18 +163,14 @@ def _parts(s: Signals, d: Linear) -> list[Part]:
 
 def _courses(evidence: CampaignEvidence) -> Iterator[_Course]:
     """All courses that are tried."""
-    starts = sorted((float(r.signals.time_s[0]), r.signals.index) for r in evidence)
-    first = starts[0][0]
-    span = max(float(r.signals.time_s[-1]) for r in evidence) - first
+    starts = sorted(float(r.signals.time_s[0]) for r in evidence)
+    span = max(float(r.signals.time_s[-1]) for r in evidence) - starts[0]
     frequencies = np.arange(1.0 / (_LONGEST * span), 1.0 / _SHORTEST_S, _FINER / span)
     for f in frequencies:
         functions = tuple(lambda s, f=f, wave=wave: wave(2.0 * math.pi * f * s.time_s) for wave in (np.cos, np.sin))  # type: ignore[misc]
         yield _Course(f"x, to and fro every {1.0 / f:.0f} s", len(frequencies), functions)
-    for start, _ in starts[1:]:
+    for start in starts[1:]:
         yield _Course(f"x, another from {start:.0f} s on", len(starts) - 1, (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),))  # type: ignore[misc]
-    for start, index in starts:
-        alone = tuple(lambda s, index=index, m=m: (s.index == index) * _polynomial(s, m) for m in range(_MOMENTS))  # type: ignore[misc]
-        yield _Course(f"x, another in the recording at {start:.0f} s alone", len(starts), alone)
     for tau in _SETTLING_S:
         settling = (lambda s, tau=tau: np.exp(-(s.time_s - s.time_s[0]) / tau),)  # type: ignore[misc]
         yield _Course(f"x, settling anew in each recording over {tau:.0f} s", len(_SETTLING_S), settling)

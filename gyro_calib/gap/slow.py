@@ -21,7 +21,7 @@ ComplexArray = NDArray[np.complex128]
 #: half cosines of the campaign's time
 _COSINES = 8
 #: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate and damping
-#: over the decay; sixteen healthy devices of two plants came to 9e-6, and what drifts more is an effect, named or not
+#: over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
 _STRAY, _GAIN, _PHASE, _RATE, _DAMPING = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5
 
 
