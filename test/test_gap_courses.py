@@ -64,7 +64,7 @@ def test_a_reading_that_swings_is_unknown_with_its_period() -> None:
     # held where it is, a wave does not tell a reading that is larger from a drive that is
     assert found.unknown.location in ("pick-off", "drive")
     assert (found.unknown.phase, found.unknown.depends_on) == ("in phase", "time")
-    assert found.unknown.form.startswith("x, to and fro every ")
+    assert found.unknown.form.startswith("x times what goes to and fro every ")
     assert float(found.unknown.form.split()[-2]) == pytest.approx(PERIOD_S, abs=3.0)
 
 
@@ -75,7 +75,7 @@ def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() ->
     found = model.courses.best(model.screener, model.whitener)
     assert found is not None
     form, _, said = found[1].form.rpartition(" from ")
-    assert form == "x, another"
+    assert form == "x times what is another"
     # the y reading is seen by recordings of that axis alone
     of_y = np.array([float(r.t[0]) for r in ordered if r.command.mode == "ftr_y"])
     stated = float(ordered[0].t[0]) + float(said.split()[0]) - 0.5

@@ -168,12 +168,13 @@ def _courses(evidence: CampaignEvidence) -> Iterator[_Course]:
     frequencies = np.arange(1.0 / (_LONGEST * span), 1.0 / _SHORTEST_S, _FINER / span)
     for f in frequencies:
         functions = tuple(lambda s, f=f, wave=wave: wave(2.0 * math.pi * f * s.time_s) for wave in (np.cos, np.sin))  # type: ignore[misc]
-        yield _Course(f"x, to and fro every {1.0 / f:.0f} s", len(frequencies), functions)
+        yield _Course(f"x times what goes to and fro every {1.0 / f:.0f} s", len(frequencies), functions)
     for start in starts[1:]:
-        yield _Course(f"x, another from {start:.0f} s on", len(starts) - 1, (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),))  # type: ignore[misc]
+        step = (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),)  # type: ignore[misc]
+        yield _Course(f"x times what is another from {start:.0f} s on", len(starts) - 1, step)
     for tau in _SETTLING_S:
         settling = (lambda s, tau=tau: np.exp(-(s.time_s - s.time_s[0]) / tau),)  # type: ignore[misc]
-        yield _Course(f"x, settling anew in each recording over {tau:.0f} s", len(_SETTLING_S), settling)
+        yield _Course(f"x times what settles anew in each recording over {tau:.0f} s", len(_SETTLING_S), settling)
 
 
 def _polynomial(s: Signals, degree: int) -> FloatArray:

@@ -21,7 +21,7 @@ from .heldout import Shrinkage, halves_disagree, shrinkage
 from .linear_device import linear_of
 from .loud import loudest
 from .model import CampaignModel, look_at
-from .next_experiment import next_experiment
+from .next_experiment import experiment_for, next_experiment
 from .preflight import check_campaign, usable
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
@@ -80,7 +80,7 @@ def diagnose(
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
     verdict = _verdict(effects, unknown, lines)
-    following = next_experiment(model, selection, lines)
+    following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
     none, something = _probabilities(selection, beside, unknown)
     return Diagnosis(

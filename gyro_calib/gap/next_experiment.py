@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..effects import EFFECTS
-from .diagnosis import Alternative, NextExperiment, Standing
+from .diagnosis import Alternative, NextExperiment, Standing, Unknown
 from .model import CampaignModel
 from .select import Selection
 
-__all__ = ["next_experiment"]
+__all__ = ["experiment_for", "next_experiment"]
 
 #: what to do so that recordings vary what an effect needs
 _RECIPES = {
@@ -24,6 +24,21 @@ _RECIPES = {
     "side bands": "Record side bands at 0.1, 0.5, 1 and 1.5 Hz on both axes",
     "time": "Repeat the first static recordings at the end, and once more after an hour",
     "azimuth": "Record virtual precession of both senses over whole turns",
+}
+#: what shows the form of something without a name, by what it depends on
+_OF_UNKNOWN = {
+    "amplitude": "Repeat the static recordings of both axes at five amplitudes, from a third of the usual one to the largest of the loops",
+    "drive": "Repeat the recordings with the largest drive at three more voltages, the amplitude held",
+    "drive's power": "Go from the smallest amplitude or precession to the largest and back, recording from that moment on for a minute",
+    "temperature": "Step the temperature by 10 K, up and down, and record both axes while it moves and until nothing changes any more",
+    "time": "Record one static recording as long as the whole campaign, with nothing commanded meanwhile",
+    "rate": "Record constant rates of 10, 30 and 60 deg/s of both signs, each on both axes",
+    "speed of change": "Record side bands of one amplitude from 0.05 to 5 Hz on both axes",
+    "frequency": "Record open drive of each axis at twenty distances between 2 and 200 Hz on both sides of the resonance",
+    "phase reference": "Repeat the static recordings with the wave at other azimuths",
+    "reference": "Record both axes with the loops off and the drives taken from their electrodes: what is still read is no motion",
+    "recording": "Record the recording that stands out again, and one of another kind before and after it",
+    "experiment": "Repeat the experiments in another order: what comes again is of the experiment, what does not is of the time",
 }
 #: non-centrality at which two effects are told apart (gap.md: SNR times sine of the angle of 5); repeats beyond this are no plan
 _APART, _MOST_REPEATS = 25.0, 100.0
@@ -89,6 +104,12 @@ def _by_recording(model: CampaignModel, rows: np.ndarray) -> dict[str, tuple[flo
         found[r.recording.label] = (float(part @ part), r.recording.duration_s)
         first += count
     return found
+
+
+def experiment_for(unknown: Unknown) -> NextExperiment:
+    """What shows the form of something without a name: what it depends on is varied further."""
+    others = tuple(Alternative(_OF_UNKNOWN[key] + ".", (), None) for key in ("time",) if key != unknown.depends_on)
+    return NextExperiment(_OF_UNKNOWN[unknown.depends_on] + ".", "find the form of what has no name", (), others)
 
 
 def next_experiment(model: CampaignModel, selection: Selection, lines: Sequence[Standing]) -> NextExperiment:
