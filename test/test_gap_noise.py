@@ -15,7 +15,7 @@ from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.noise import _tamed, measured_noise, plain_noise
 from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.preflight import usable
-from gyro_calib.gap.saturated import saturated_columns
+from gyro_calib.gap.saturated import saturated_columns, with_twins
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -133,3 +133,8 @@ def test_what_has_no_name_is_no_noise() -> None:
         lines = next(r.lines(channel) for r in quiet.evidence if r.role == "precession")
         before, after = (m.noise["precession", channel].density(lines).mean() for m in found)
         assert after < 3.0 * before
+
+
+def test_beside_one_of_twins_the_other_is_not_tried() -> None:
+    assert with_twins(["pickoff_delay", "duffing"]) == {"pickoff_delay", "drive_delay", "duffing"}
+    assert with_twins(["drive_memory"]) == {"drive_memory", "pickoff_memory"}

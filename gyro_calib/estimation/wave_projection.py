@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
-from .projection import hold_factor, moving_reference, test_functions
+from .projection import hold_delay, hold_factor, moving_reference, test_functions
 from .wave import smooth_azimuth, wave_coordinates
 
 __all__ = ["CHANNELS", "Products", "WaveProjected", "frame_directions", "in_wave_frame", "slow_waves", "spectral_derivatives", "thin"]
@@ -151,7 +151,7 @@ class Products:
         detuning = (omega**2 - omega0_rad_s**2) / (2.0 * omega0_rad_s) - resonance_shift_rad_s
         self._gain = stretch[:, None]
         self._shift = (1j * detuning + 2.0 * decay_rate * slow - creep)[:, None]
-        half_hold = 0.5 * float(recording.extras.get("dac_zero_order_hold_s", 0.0) or 0.0)
+        delay = hold_delay(recording, omega0_rad_s)
         V, u = recording.pick, recording.drive
         acting = u * hold_factor(recording, omega, omega0_rad_s)[:, None]
         if drive_scale is not None:
@@ -173,7 +173,10 @@ class Products:
                 "lhs": self._derived(d, V[:, None, :]),
                 "drive_rate": self._derived_by_axis(d, u),
                 "pick": self._by_axis(d.m, V),
-                "drive": [*self._by_axis(d.m + half_hold * d.m1, acting), *self._by_axis(half_hold * d.m, acting)],
+                "drive": [
+                    *(held + late for held, late in zip(self._by_axis(d.m, acting), self._by_axis(d.m1, delay * acting), strict=True)),
+                    *self._by_axis(d.m, delay * acting),
+                ],
                 "drive_slope": [*self._by_axis(-d.m1, acting), *self._by_axis(-d.m, acting)],
                 "rate_pick": self._by_axis(d.m, rate[:, None] * V),
                 "rate_drive": self._by_axis(d.m, rate[:, None] * u),

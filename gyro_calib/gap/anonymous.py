@@ -177,6 +177,9 @@ _KNEE_STEP = 2
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
 _TURNING = ("|x_k|^2 x_j, k the other axis",)
+#: on what no unnamed reading depends: L of a rate that steps is the table's clock and the recorder's filter, a wave held to the
+#: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away
+_NOT_READ = ("rate", "phase reference", "drive", "speed of change")
 #: on what a term may depend that follows its signal at once
 _AT_ONCE = ("amplitude", "temperature", "time")
 
@@ -190,8 +193,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                 continue
             if (text in _OF_DRIVE and kind == "drive") or (text in _OF_MOTION and kind != "drive"):
                 continue
-            if kind == "output" and depends in ("rate", "phase reference", "drive"):
-                # L of a rate that steps is the table's clock and the recorder's filter; a wave held to the reference is its own conjugate
+            if kind == "output" and depends in _NOT_READ:
                 continue
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
                 if (kind, phase, text) == ("flow", "in quadrature", _LATE):

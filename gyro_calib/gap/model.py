@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,14 @@ from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .columns import Column
 from .courses import Courses, courses_of
-from .evidence import CampaignEvidence
+from .evidence import CHANNELS, CampaignEvidence
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, linear_columns, linear_of, span_k, target_of
 from .noise import PlainNoise, first_noise, measured_noise, plain_noise, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
 from .saturated import columns_of_time, effect_columns, open_drive, saturated_columns
-from .screen import Candidate, Screener, worth
+from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
@@ -36,6 +37,8 @@ _WANDER, _MOST_WANDER = 5e-8, 5e-7
 _STRANGE = ("amplitude", "drive")
 #: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
 _COURSE = 15.0
+#: noise of a recording that shall say nothing, over its own, in power
+_SILENT = 1e8
 #: what an unnamed term that depends on something needs
 _NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
 
@@ -79,6 +82,18 @@ class CampaignModel:
     def candidate(self, name: str, setting: Setting) -> Candidate:
         """An effect at another setting than those of its grid."""
         return candidate_at(self.evidence, self.linear, name, setting, len(self.candidates[name]))
+
+    @cached_property
+    def _at_rest(self) -> Whitener | None:
+        """Weights with which turned recordings say nothing; none where there are none."""
+        turned = {(r.index, c): _SILENT for r in self.evidence if "applied_rate" in r.recording.extras for c in CHANNELS}
+        return Whitener.of(self.evidence, self.noise, {**self.excess, **turned}) if turned else None
+
+    def at_rest(self, found: Screened, others: Sequence[Candidate]) -> Screened | None:
+        """An effect beside others as the recordings show it that were not turned: a table does things besides its log."""
+        if self._at_rest is None:
+            return found
+        return Screener(self._at_rest, [*self.nuisances, *effect_columns(others)], self.target).screen(found.candidate)
 
     @property
     def target(self) -> list[ComplexArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from .forms import FORMS
 from .parts import Linear
 from .screen import Candidate
 
-__all__ = ["columns_of_time", "effect_columns", "open_drive", "saturated_columns"]
+__all__ = ["columns_of_time", "effect_columns", "open_drive", "saturated_columns", "with_twins"]
 
 #: of the settings of a gridded effect, how many are held
 _SETTINGS = 4
@@ -40,6 +40,12 @@ _FAST = (
     "thermal_feedthrough",
     "parametric_pump",
 )
+
+
+def with_twins(names: Iterable[str]) -> set[str]:
+    """Effects, and what beside one of them explains but the noise that both share."""
+    taken = set(names)
+    return taken | {other for pair in _TWIN.items() for one, other in (pair, pair[::-1]) if one in taken}
 
 
 def effect_columns(candidates: Sequence[Candidate]) -> list[Column]:

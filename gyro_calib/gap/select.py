@@ -13,18 +13,16 @@ from itertools import combinations
 import numpy as np
 
 from ..effects import EFFECTS
-from .anonymous import Anonymous
 from .candidates import registry_name
 from .exact_levels import best_exact_level
 from .model import CampaignModel
-from .parts import SKEW
 from .relinearise import relinearised
-from .screen import Candidate, Screened, Screener, worth
+from .saturated import with_twins
+from .screen import Candidate, Screened, Screener
+from .strangers import BANK_MARGIN, LEAST_GAIN, LEFT_SHARE, LEFT_SIGMA, MARGIN, Stranger, own_directions, stranger, unnamed_counts, worth_of
 
-__all__ = ["Selection", "Stranger", "select_effects"]
+__all__ = ["Selection", "select_effects"]
 
-#: least log evidence and chi-square of an effect that is taken up
-MARGIN, LEAST_GAIN = 8.0, 25.0
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
 _MOST_EFFECTS = 3
@@ -42,38 +40,12 @@ _NEAR, _CONTENDERS = 0.75, 4
 _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
 _PAIRED = 8
-#: a share of the gap that is left after the best set, from which on something is missing from the catalogue; and its significance
-_LEFT_SHARE, _LEFT_SIGMA = 0.04, 6.0
-#: how much better an anonymous term must be than the registry
-_BETTER = 12.0
-#: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do
-_BANK_MARGIN = 7.0
-#: and courses of time beyond those: a 1/f floor swings like one, up to a log evidence of 13 in 24 healthy campaigns
-_COURSE_MARGIN = 10.0
 #: a share that multiplies an effect whose size is its setting must be near one
 _SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
 #: a lag of the thermometer that is long against a ramp [s]
 _BENDING_LAG_S = 0.5
 #: a level that is tried as what it is must leave this much less than what was selected
 _EXACT_IS_BETTER = 0.5
-
-
-@dataclass(frozen=True)
-class Stranger:
-    """Something that is not in the registry.
-
-    Parameters
-    ----------
-    term : Anonymous
-        The anonymous term that closes most of the gap.
-    screened : Screened
-    nearest : str
-        Effect of the registry that comes nearest, or "".
-    """
-
-    term: Anonymous
-    screened: Screened
-    nearest: str
 
 
 @dataclass(frozen=True)
@@ -123,7 +95,7 @@ def physical(found: Screened, *, rough: bool = True) -> bool:
 
 def _ranked(model: CampaignModel, chosen: Sequence[Candidate], only: Sequence[str] | None = None) -> list[Screened]:
     screener = model.screener_with(chosen)
-    taken = {c.name for c in chosen}
+    taken = with_twins(c.name for c in chosen)
     pool = {n: c for n, c in model.candidates.items() if n not in taken and (only is None or n in only)}
     singles = {name: best for name, candidates in pool.items() if (best := _best_physical(screener, candidates)) is not None}
     return sorted(singles.values(), key=lambda s: -s.log_evidence)
@@ -142,6 +114,14 @@ def _enough(found: Screened, largest: float = 0.0) -> bool:
 def _stands(found: Screened, louder: float) -> bool:
     """Whether an effect counts where all recordings hold so much more power than the noise: that noise was measured too low."""
     return louder <= 1.0 or found.log_evidence - 0.5 * found.gain * (1.0 - 1.0 / louder) > MARGIN
+
+
+def _seen_at_rest(model: CampaignModel, effects: Sequence[Screened], found: Screened) -> bool:
+    """Whether an effect that has nothing to do with rate counts without the recordings that were turned."""
+    if "rate" in EFFECTS[found.name].needs:
+        return True
+    still = model.at_rest(found, [e.candidate for e in effects if e is not found])
+    return still is not None and still.log_evidence > MARGIN
 
 
 def select_effects(model: CampaignModel) -> Selection:
@@ -163,12 +143,12 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen, effects = _named_all_the_same(model, [e.candidate for e in effects], effects)
     groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
     screener = model.screener_with(chosen)
-    stranger = _stranger(model, chosen, effects, first)
+    found = stranger(model, chosen, effects, first)
     return Selection(
         effects=effects,
         groups=groups,
         probabilities=tuple(_probability(e) for e in effects),
-        stranger=stranger,
+        stranger=found,
         screened={s.name: s for s in first},
         chi2_before=model.screener.chi2,
         chi2_after=screener.chi2,
@@ -185,22 +165,16 @@ def _named_all_the_same(
     but it has the name.
     """
     screener = model.screener_with(chosen)
-    best = max((s for _, c in model.bank if (s := screener.screen(c)) is not None), key=_worth, default=None)
-    if best is None or not _unnamed_counts(best, effects) or len(chosen) >= _MOST_EFFECTS:
+    best = max((s for _, c in model.bank if (s := screener.screen(c)) is not None), key=worth_of, default=None)
+    if best is None or not unnamed_counts(best, effects) or len(chosen) >= _MOST_EFFECTS:
         return chosen, effects
-    taken = {c.name for c in chosen}
+    taken = with_twins(c.name for c in chosen)
     tried = [s for n, cs in model.candidates.items() if n not in taken for c in cs if (s := screener.screen(c)) is not None and physical(s)]
-    named = max(tried, key=lambda s: _worth(s, _own(s)), default=None)
-    if named is None or _worth(named, _own(named)) < _worth(best) - _ALIKE:
+    named = max(tried, key=lambda s: worth_of(s, own_directions(s)), default=None)
+    if named is None or worth_of(named, own_directions(named)) < worth_of(best) - _ALIKE:
         return chosen, effects
     chosen = relinearised(model, [*chosen, _refined(model, screener, named.candidate)])
     return chosen, _together(model, chosen)
-
-
-def _unnamed_counts(found: Screened, effects: Sequence[Screened]) -> bool:
-    """Whether an unnamed term is more than what a hundred of them reach by chance, and more than what first order leaves of the effects."""
-    least = max(LEAST_GAIN + 2.0 * _BANK_MARGIN, _LEFT_SHARE * sum(e.gain for e in effects))
-    return _worth(found) > MARGIN + _BANK_MARGIN and found.gain > least
 
 
 def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
@@ -208,7 +182,7 @@ def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
     best: tuple[float, list[Candidate]] = (MARGIN, [])
     for a, b in combinations(first[:_PAIRED], 2):
         second = model.screener_with([a.candidate]).screen(b.candidate)
-        if second is None or not physical(second):
+        if second is None or not physical(second) or b.name in with_twins([a.name]):
             continue
         together = a.log_evidence + second.log_evidence
         if together > best[0] and a.gain + second.gain > 2.0 * LEAST_GAIN:
@@ -223,7 +197,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         effects = _together(model, chosen)
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
-        needed = [len(effects) == 1 or _enough(e, largest) for e in effects]
+        needed = [(len(effects) == 1 or _enough(e, largest)) and _seen_at_rest(model, effects, e) for e in effects]
         doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]
         if not doubtful:
             return chosen, effects
@@ -237,7 +211,7 @@ def _or_exact_level(
     """A drive that clips or is dead so much that first order does not recognise it, where much is left without."""
     left = model.screener_with(chosen)
     before = model.screener.chi2 - model.screener.dof
-    if before <= 0.0 or left.chi2 - left.dof < max(_LEFT_SHARE * before, _LEFT_SIGMA * np.sqrt(2.0 * left.dof)):
+    if before <= 0.0 or left.chi2 - left.dof < max(LEFT_SHARE * before, LEFT_SIGMA * np.sqrt(2.0 * left.dof)):
         return chosen, effects
     exact = best_exact_level(model)
     if exact is None or exact.chi2 > _EXACT_IS_BETTER * left.chi2:
@@ -350,49 +324,6 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
 
 def _probability(effect: Screened) -> float:
     """Of the effect against none, both alike before, times how often groups of such evidence were right in blind trials."""
-    evidence = max(effect.log_evidence, _worth(effect, _own(effect)) - _BANK_MARGIN)
+    evidence = max(effect.log_evidence, worth_of(effect, own_directions(effect)) - BANK_MARGIN)
     trust = float(np.interp(np.log10(max(evidence, 1.0)), np.log10(_EVIDENCES), _TRUST))
     return float(trust / (1.0 + np.exp(-0.5 * (evidence - MARGIN / 2.0))))
-
-
-def _stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequence[Screened], first: Sequence[Screened]) -> Stranger | None:
-    """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
-    screener = model.screener_with(chosen)
-    rest = _unnamed(model, screener)
-    nearest = first[0].name if first else ""
-    significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
-    before = model.screener.chi2 - model.screener.dof
-    share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
-    if rest:
-        best, term = max(rest, key=lambda pair: _worth(pair[0]))
-        if _unnamed_counts(best, effects):
-            return Stranger(term, best, nearest)
-        if chosen:
-            alone = max(_unnamed(model, model.screener), key=lambda pair: _worth(pair[0]))
-            if _worth(alone[0]) > _set_worth(model, chosen) + _BETTER:
-                return Stranger(alone[1], alone[0], nearest)
-        if significant > _LEFT_SIGMA and share > _LEFT_SHARE:
-            return Stranger(term, best, nearest)
-    return None
-
-
-def _unnamed(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
-    """Unnamed terms beside what a screener holds; of the courses of time the best, if it is no 1/f floor."""
-    found = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
-    course = model.courses.best(screener, model.whitener)
-    return [*found, course] if course is not None and _worth(course[0]) > MARGIN + _BANK_MARGIN + _COURSE_MARGIN else found
-
-
-def _worth(found: Screened, directions: int | None = None) -> float:
-    return worth(found.gain, found.rank if directions is None else directions, found.candidate.choices)
-
-
-def _set_worth(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
-    """Worth of a set, one effect after the other."""
-    found = [model.screener_with(chosen[:k]).screen(candidate) for k, candidate in enumerate(chosen)]
-    return sum(_worth(f, _own(f)) for f in found if f is not None)
-
-
-def _own(found: Screened) -> int:
-    """Directions of its parameters: what unlike pick-offs make of it follows from them."""
-    return min(found.rank, sum(not c.name.startswith(SKEW) for c in found.candidate.columns))

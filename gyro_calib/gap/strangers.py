@@ -1,0 +1,111 @@
+"""Something that is not in the registry: the unnamed term that shows in what the registry leaves, and whether it counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .anonymous import Anonymous
+from .model import CampaignModel
+from .parts import SKEW
+from .screen import Candidate, Screened, Screener, worth
+
+__all__ = [
+    "BANK_MARGIN",
+    "LEAST_GAIN",
+    "LEFT_SHARE",
+    "LEFT_SIGMA",
+    "MARGIN",
+    "Stranger",
+    "own_directions",
+    "stranger",
+    "unnamed_counts",
+    "worth_of",
+]
+
+#: least log evidence and chi-square of an effect that is taken up
+MARGIN, LEAST_GAIN = 8.0, 25.0
+#: a share of the gap that is left after the best set, from which on something is missing from the catalogue; and its significance
+LEFT_SHARE, LEFT_SIGMA = 0.04, 6.0
+#: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do
+BANK_MARGIN = 7.0
+#: how much better an anonymous term must be than the registry
+_BETTER = 12.0
+#: and courses of time beyond those: a 1/f floor swings like one, up to a log evidence of 13 in 24 healthy campaigns
+_COURSE_MARGIN = 10.0
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """Something that is not in the registry.
+
+    Parameters
+    ----------
+    term : Anonymous
+        The anonymous term that closes most of the gap.
+    screened : Screened
+    nearest : str
+        Effect of the registry that comes nearest, or "".
+    """
+
+    term: Anonymous
+    screened: Screened
+    nearest: str
+
+
+def unnamed_counts(found: Screened, effects: Sequence[Screened]) -> bool:
+    """Whether an unnamed term is more than what a hundred of them reach by chance, and more than what first order leaves of the effects."""
+    least = max(LEAST_GAIN + 2.0 * BANK_MARGIN, LEFT_SHARE * sum(e.gain for e in effects))
+    return worth_of(found) > MARGIN + BANK_MARGIN and found.gain > least
+
+
+def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequence[Screened], first: Sequence[Screened]) -> Stranger | None:
+    """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
+    screener = model.screener_with(chosen)
+    rest = _unnamed(model, screener)
+    nearest = first[0].name if first else ""
+    significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
+    before = model.screener.chi2 - model.screener.dof
+    share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
+    if rest:
+        best, term = max(rest, key=lambda pair: worth_of(pair[0]))
+        if unnamed_counts(best, effects) and _seen_at_rest(model, chosen, best, term):
+            return Stranger(term, best, nearest)
+        if chosen:
+            alone = max(_unnamed(model, model.screener), key=lambda pair: worth_of(pair[0]))
+            if worth_of(alone[0]) > _set_worth(model, chosen) + _BETTER:
+                return Stranger(alone[1], alone[0], nearest)
+        if significant > LEFT_SIGMA and share > LEFT_SHARE:
+            return Stranger(term, best, nearest)
+    return None
+
+
+def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Screened, term: Anonymous) -> bool:
+    """Whether a term that has nothing to do with rate counts without the recordings that were turned."""
+    still = found if term.depends_on == "rate" else model.at_rest(found, chosen)
+    return still is not None and worth_of(still) > MARGIN + BANK_MARGIN
+
+
+def _unnamed(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
+    """Unnamed terms beside what a screener holds; of the courses of time the best, if it is no 1/f floor."""
+    found = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
+    course = model.courses.best(screener, model.whitener)
+    return [*found, course] if course is not None and worth_of(course[0]) > MARGIN + BANK_MARGIN + _COURSE_MARGIN else found
+
+
+def worth_of(found: Screened, directions: int | None = None) -> float:
+    """Log evidence with the same price for every direction; ``directions``: if it is not what the data tell of it."""
+    return worth(found.gain, found.rank if directions is None else directions, found.candidate.choices)
+
+
+def _set_worth(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
+    """Worth of a set, one effect after the other."""
+    found = [model.screener_with(chosen[:k]).screen(candidate) for k, candidate in enumerate(chosen)]
+    return sum(worth_of(f, own_directions(f)) for f in found if f is not None)
+
+
+def own_directions(found: Screened) -> int:
+    """Directions of its parameters: what unlike pick-offs make of it follows from them."""
+    return min(found.rank, sum(not c.name.startswith(SKEW) for c in found.candidate.columns))
