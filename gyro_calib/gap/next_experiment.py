@@ -108,7 +108,8 @@ def _by_recording(model: CampaignModel, rows: np.ndarray) -> dict[str, tuple[flo
 
 def experiment_for(unknown: Unknown) -> NextExperiment:
     """What shows the form of something without a name: what it depends on is varied further."""
-    others = tuple(Alternative(_OF_UNKNOWN[key] + ".", (), None) for key in ("time",) if key != unknown.depends_on)
+    steady = Alternative(_OF_UNKNOWN["time"] + ".", (), None)
+    others = (steady,) if unknown.depends_on != "time" else ()
     return NextExperiment(_OF_UNKNOWN[unknown.depends_on] + ".", "find the form of what has no name", (), others)
 
 
