@@ -37,7 +37,7 @@ _UNLIKE_PER_K = 0.15
 _DAMPING_PER_K2 = 3e-5
 #: a record that is late by some samples of the converters [s]
 _LAG_S = 3e-5
-#: how equal drives are in stiffness control and otherwise, gain and phase [rad]
+#: how equal drives are that shift the reference and that turn an envelope, gain and phase [rad]
 _OF_STIFFNESS = 1e-5
 #: drift of the resonance over a campaign in units of its wander; constant volts that reach a drive besides the command [V]
 _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
@@ -98,9 +98,11 @@ def _blurred_temperature(evidence: CampaignEvidence, linear: Linear) -> list[Col
 
 
 def _in_stiffness_control(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """Gain and phase of drives that answer the pick-off at once, over those of other drives.
+    """Gain and phase of drives that shift the reference, over those of drives that turn an envelope.
 
-    A plant of another maker shows 9e-6 rad between them, on both axes and in all its records without noise; why is not known.
+    Loops whose window holds no whole number of carrier periods see a turning envelope's image at twice the carrier, and answer it. Of
+    the answer a share falls back on the carrier: a force in proportion to the turning, which the rows' filter keeps from the log. A
+    plant of another maker shows 1e-5 of it; a quarter, with a quarter of its loops' bandwidth (doc/gap.md, Noise).
     """
     by_recording = []
     for r in evidence:

@@ -21,7 +21,7 @@ from .saturated import with_twins
 from .screen import Candidate, Screened, Screener
 from .strangers import BANK_MARGIN, LEAST_GAIN, LEFT_SHARE, LEFT_SIGMA, MARGIN, Stranger, own_directions, stranger, unnamed_counts, worth_of
 
-__all__ = ["Selection", "select_effects"]
+__all__ = ["Selection", "seen_at_rest", "select_effects"]
 
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
@@ -116,7 +116,7 @@ def _stands(found: Screened, louder: float) -> bool:
     return louder <= 1.0 or found.log_evidence - 0.5 * found.gain * (1.0 - 1.0 / louder) > MARGIN
 
 
-def _seen_at_rest(model: CampaignModel, effects: Sequence[Screened], found: Screened) -> bool:
+def seen_at_rest(model: CampaignModel, effects: Sequence[Screened], found: Screened) -> bool:
     """Whether an effect that has nothing to do with rate counts without the recordings that were turned."""
     if "rate" in EFFECTS[found.name].needs:
         return True
@@ -197,7 +197,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         effects = _together(model, chosen)
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
-        needed = [(len(effects) == 1 or _enough(e, largest)) and _seen_at_rest(model, effects, e) for e in effects]
+        needed = [(len(effects) == 1 or _enough(e, largest)) and seen_at_rest(model, effects, e) for e in effects]
         doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]
         if not doubtful:
             return chosen, effects
