@@ -16,6 +16,8 @@ _HARMONICS = 4
 _SWITCHED_HZ, _SWITCHED_LINES = 1.5, 24
 #: lowest line of their noise [Hz]
 _SWITCHED_QUIET_HZ = 0.3
+#: highest line at which the noise of a turned recording is measured, over its highest line of signal
+_TURNED_QUIET = 2.0
 #: above this many lines only the harmonics and their neighbours are taken
 _MOST_LINES = 64
 _QUIET_LINES = 24
@@ -73,6 +75,9 @@ def quiet_lines(recording: Recording, highest_signal_hz: float, speed_rad_s: flo
         # matters
         first = min(first, max(_SWITCHED_QUIET_HZ, 3.0 * step))
     last = max(min(first + max(_QUIET_HZ, 8.0 * step), _QUIET_TOP * recording.sample_rate_hz), first + 4.0 * step)
+    if "applied_rate" in recording.extras:
+        # a step of the table has its shape up there, which no log tells and no line of the signal needs
+        last = max(min(last, _TURNED_QUIET * highest_signal_hz), highest_signal_hz + 8.0 * step)
     lines = np.geomspace(first, last, _QUIET_LINES)
     spaced = [lines[0]]
     for f in lines[1:]:

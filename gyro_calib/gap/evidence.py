@@ -8,7 +8,7 @@ any maker's device, and what they leave over is the gap.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -139,6 +139,14 @@ class CampaignEvidence:
             found[int(i)] = _evidence(int(i), recordings[i], omega0, decay_rate, temperature, start, before)
             before = found[int(i)].signals
         return cls(tuple(found[i] for i in range(len(recordings))), omega0, decay_rate, temperature)
+
+    def replaced(self, recordings: Mapping[int, Recording]) -> CampaignEvidence:
+        """With some recordings, by index, projected again from what stands in their place."""
+        found = list(self.recordings)
+        for i, recording in recordings.items():
+            s = found[i].signals
+            found[i] = _evidence(i, recording, self.omega0_rad_s, self.decay_rate, self.temperature_degc, s.start_s, s.before)
+        return CampaignEvidence(tuple(found), self.omega0_rad_s, self.decay_rate, self.temperature_degc)
 
     def __iter__(self):  # type: ignore[no-untyped-def]
         return iter(self.recordings)

@@ -1,6 +1,6 @@
-"""The linear slow flow as columns of a campaign's equations: A, G, E, response to rate, how the resonance follows its temperature.
+"""The linear slow flow as columns of a campaign's equations: A, G, E, how the resonance follows its temperature.
 
-What physics bounds (a feedthrough that follows frequency, a unit's kappa beside its factory's) has a prior of that size.
+What physics bounds (a feedthrough that follows frequency) has a prior of that size.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import Linear
 
 __all__ = [
+    "FEEDTHROUGH",
     "ROW_MOMENT",
     "TEMPERATURE_SPAN_K",
     "collected",
+    "combined",
+    "entry",
     "frequency_columns",
     "linear_columns",
     "linear_of",
@@ -31,18 +34,14 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _Regressor = Callable[[RecordingEvidence, WaveProjected], ComplexArray]
 
-#: curvature of the frequency [1/K^2]; a rate table's clock, and its lag behind what was commanded [s]
-_FREQUENCY_PER_K2, _TABLE_CLOCK_S, _TABLE_LAG_S = 1e-7, 1e-3, 2e-2
-#: reaction of the diagonal of A to rate over kappa
-_SKEWED_RATE = 0.05
+#: curvature of the frequency [1/K^2]
+_FREQUENCY_PER_K2 = 1e-7
 #: change of E over a relative distance of one from resonance, and its curvature, over E: a delay of some cycles of the carrier
 _DISPERSION, _BENT_DISPERSION = 5.0, 12.0
 #: the same of multiplexed electronics, whose resonance rings on in the slots that do not drive it, as its answer to the drive does
 _RINGING, _BENT_RINGING = 5e-3, 1e-2
-#: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
-_KAPPA = 3e-4
 #: feedthrough of a chain that nobody measured; second moment of a row's filter over the squared row
-_FEEDTHROUGH, ROW_MOMENT = 2e-3, 1.0
+FEEDTHROUGH, ROW_MOMENT = 2e-3, 1.0
 #: temperature's span over a campaign from which on what depends on it can be measured; more no resonator follows it [1/K]
 TEMPERATURE_SPAN_K, _MOST_PER_K = 0.5, 3e-4
 
@@ -66,7 +65,7 @@ def collected(
     return columns
 
 
-def _entry(field: str, a: int, b: int | None, weight: Callable[[RecordingEvidence], float] = lambda r: 1.0) -> _Regressor:
+def entry(field: str, a: int, b: int | None, weight: Callable[[RecordingEvidence], float] = lambda r: 1.0) -> _Regressor:
     """Regressor of one entry of the projected signals, weighed by recording."""
 
     def values(r: RecordingEvidence, p: WaveProjected) -> ComplexArray:
@@ -80,45 +79,46 @@ def _shaken_at(frequency_hz: float) -> Callable[[RecordingEvidence], float]:
     return lambda r: float(_body(r) == frequency_hz)
 
 
-def _combined(first: tuple[int, int], second: tuple[int, int], sign: float, field: str = "rate_pick") -> _Regressor:
-    """Sum or difference of two entries of the response to rate, or of another of the projected signals."""
-    one, other = _entry(field, *first), _entry(field, *second)
+def combined(
+    first: tuple[int, int],
+    second: tuple[int, int],
+    sign: float,
+    field: str = "rate_pick",
+    weight: Callable[[RecordingEvidence], float] = lambda r: 1.0,
+) -> _Regressor:
+    """Sum or difference of two entries of the response to rate, or of another of the projected signals, weighed by recording."""
+    one, other = entry(field, *first, weight), entry(field, *second, weight)
     return lambda r, p: one(r, p) + sign * other(r, p)
 
 
-def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None, *, rate_known: bool = True) -> list[Column]:
-    """A, G~, E, body, response to rate, force that does not follow the wave.
+def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None) -> list[Column]:
+    """A, G~, E, body, force that does not follow the wave.
 
-    ``linear``: the device as far as it is known, for where its resonance lay: what feeds through does not follow it. With ``rate_known``
-    the target already lacks the response to rate of the factory's kappa (:func:`target_of`), and what is sought is how far the unit is
-    from it; otherwise all of it.
+    ``linear``: the device as far as it is known, for where its resonance lay: what feeds through does not follow it.
     """
     columns: list[Column] = []
     bodies = sorted({_body(r) for r in evidence if _body(r) > 0.0})
-    turned = any("applied_rate" in r.recording.extras for r in evidence)
     open_drive = {round(_open(r), 3) for r in evidence if _open(r) > 0.0}
-    feeds = float(np.abs(linear.E).max()) if linear is not None else _FEEDTHROUGH
+    feeds = float(np.abs(linear.E).max()) if linear is not None else FEEDTHROUGH
     for a in range(2):
         for b in range(2):
             place = f"{'xy'[a]}{'xy'[b]}"
-            columns += collected(f"A_{place}", evidence, _entry("pick", a, b))
-            columns += collected(f"G_{place}", evidence, _entry("drive", a, b))
+            columns += collected(f"A_{place}", evidence, entry("pick", a, b))
+            columns += collected(f"G_{place}", evidence, entry("drive", a, b))
             # without open drive a feedthrough of usual size is allowed for, not taken to be absent
-            known = np.inf if open_drive else _FEEDTHROUGH
+            known = np.inf if open_drive else FEEDTHROUGH
             columns += _feedthrough(place, evidence, linear, (a, b), known)
             if len(open_drive) > 1:
                 for name, power, over_e in (("dispersion", 1, _DISPERSION), ("bent_dispersion", 2, _BENT_DISPERSION)):
-                    by_distance = _entry("drive_rate", a, b, lambda r, power=power: _away(r, evidence.omega0_rad_s) ** power)  # type: ignore[misc]
+                    by_distance = entry("drive_rate", a, b, lambda r, power=power: _away(r, evidence.omega0_rad_s) ** power)  # type: ignore[misc]
                     columns += collected(f"{name}_{place}", evidence, by_distance, over_e * feeds)
-            if turned:
-                columns += collected(f"table_{place}", evidence, _entry("jerk", a, b), _TABLE_CLOCK_S)
         for f in bodies:
-            columns += collected(f"body_{'xy'[a]}_{f:.0f}", evidence, _entry("body", a, None, _shaken_at(f)))
+            columns += collected(f"body_{'xy'[a]}_{f:.0f}", evidence, entry("body", a, None, _shaken_at(f)))
         if evidence.turns:
-            columns += collected(f"force_{'xy'[a]}", evidence, _entry("constant", a, None, lambda r: float(r.is_wave)))
+            columns += collected(f"force_{'xy'[a]}", evidence, entry("constant", a, None, lambda r: float(r.is_wave)))
     if linear is not None and len(open_drive) > 1:
         columns += _ringing(evidence, linear.G / np.abs(linear.G).max())
-    return columns + (_rate_columns(evidence, rate_known) if turned else [])
+    return columns
 
 
 def _ringing(evidence: CampaignEvidence, direction: ComplexArray) -> list[Column]:
@@ -133,38 +133,6 @@ def _ringing(evidence: CampaignEvidence, direction: ComplexArray) -> list[Column
     return columns
 
 
-def _rate_columns(evidence: CampaignEvidence, known: bool) -> list[Column]:
-    """Response of A to rate: its antisymmetric part is kappa, the rest is the pick-offs' mismatch and non-orthogonality."""
-    columns = collected("rate_anti", evidence, _combined((0, 1), (1, 0), -1.0), _KAPPA if known else np.inf)
-    # a motor takes its time
-    columns += collected("table_lag", evidence, _combined((0, 1), (1, 0), -1.0, "jerk"), _TABLE_LAG_S, real=True)
-    for name, f in (
-        ("rate_mismatch", _combined((0, 1), (1, 0), 1.0)),
-        ("rate_sum", _combined((0, 0), (1, 1), 1.0)),
-        ("rate_skew", _combined((0, 0), (1, 1), -1.0)),
-    ):
-        columns += collected(name, evidence, f, _SKEWED_RATE)
-    # what feeds through does not turn: -kappa Omega J (V - E u)
-    for a in range(2):
-        for b in range(2):
-            columns += collected(f"rate_feed_{'xy'[a]}{'xy'[b]}", evidence, _entry("rate_drive", a, b), _FEEDTHROUGH)
-    return columns + _blurred_steps(evidence)
-
-
-def _blurred_steps(evidence: CampaignEvidence) -> list[Column]:
-    """A step of the table as its motor and the recorder's filter round it: to second order its curvature times half the second moment."""
-    sides = []
-    for place in (SIGNAL, QUIET):
-        vectors = []
-        for r in evidence:
-            s = r.signals
-            curvature = np.gradient(np.gradient(s.rate_rad_s, s.row_s), s.row_s)[:, None]
-            vectors.append(r.turn * place.projector(r).plain([curvature * np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1)])[:, 0])
-        sides.append(tuple(vectors))
-    row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
-    return [Column("table_blur", sides[0], sides[1], ROW_MOMENT * row_s**2 + _TABLE_LAG_S**2)]
-
-
 def target_of(evidence: CampaignEvidence, angular_gain: float) -> list[ComplexArray]:
     """Left-hand sides by recording, turned by the wave's phase, less the response to the applied rate, ``-kappa Omega J V``."""
     return [r.turn * (r.signal.lhs - angular_gain * (r.signal.rate_pick[:, 0, 1] - r.signal.rate_pick[:, 1, 0])) for r in evidence]
@@ -176,7 +144,7 @@ def quiet_target_of(evidence: CampaignEvidence, angular_gain: float) -> list[Com
 
 
 def _feedthrough(place: str, evidence: CampaignEvidence, linear: Linear | None, entry: tuple[int, int], prior_sd: float) -> list[Column]:
-    """``L[u]``, less what the resonance moved: it moves the motion ``V - E u``, not what feeds through.
+    """``L[u]``, less what temperature and rate moved: they move the motion ``V - E u``, not what feeds through.
 
     Ten kelvins of silica and E = 2e-4 are 1e-2 rad/s of the drive. In the column of E itself that holds for whatever E comes out, also
     once an effect that passed for a feedthrough is named.
@@ -186,7 +154,10 @@ def _feedthrough(place: str, evidence: CampaignEvidence, linear: Linear | None, 
     for where in (SIGNAL, QUIET):
         vectors = []
         for r in evidence:
-            vector = (r.quiet if where.quiet else r.signal).drive_rate[:, a, b]
+            projected = r.quiet if where.quiet else r.signal
+            vector = projected.drive_rate[:, a, b]
+            if linear is not None:
+                vector = vector + (-1) ** a * linear.angular_gain * projected.rate_drive[:, 1 - a, b]
             if linear is not None and linear.followed_rad_s:
                 still = np.zeros((len(r.signals.time_s), 2), complex)
                 still[:, a] = 1j * linear.followed_rad_s[r.index] * r.signals.drive[:, b]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,6 +22,7 @@ from .noise import PlainNoise, first_noise, measured_noise, plain_noise, with_re
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
+from .rate_table import in_time, rate_columns, steps_of
 from .saturated import columns_of_time, effect_columns, open_drive, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
@@ -37,6 +39,8 @@ _WANDER, _MOST_WANDER = 5e-8, 5e-7
 _STRANGE = ("amplitude", "drive")
 #: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
 _COURSE = 15.0
+#: delay and length of a table's steps from which on its log is mended [s], and how often
+_TABLE_S, _TABLE_ROUNDS = 5e-4, 2
 #: noise of a recording that shall say nothing, over its own, in power
 _SILENT = 1e8
 #: what an unnamed term that depends on something needs
@@ -138,12 +142,19 @@ def look_at(
     evidence = CampaignEvidence.of(recordings, decay_rate)
     report(0.25, "fitting the linear device")
     wander, most = _WANDER * evidence.omega0_rad_s, _MOST_WANDER * evidence.omega0_rad_s
-    start = [*linear_columns(evidence, rate_known=False), *frequency_columns(evidence), *wander_columns(evidence, wander, wander)]
-    linear, rough = _linear(evidence, start, angular_gain, 0.0)
+    linear, rough = _linear(evidence, _first(evidence, wander), angular_gain, 0.0)
     check_linear(linear, rough, recordings)
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
     linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
+    late, length = steps_of(values, angular_gain)
+    if max([abs(x) for x in late.values()] + [length]) > _TABLE_S:
+        logged, length = evidence, 0.0  # of a log that is late its second moment says little
+        for _ in range(_TABLE_ROUNDS):
+            evidence = in_time(logged, late, length)
+            linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
+            more, longer = steps_of(values, angular_gain)
+            late, length = {i: x + more[i] for i, x in late.items()}, math.hypot(length, longer)
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed_rad_s and linear.frequency_slope_rad_s_k else 0.0
@@ -225,9 +236,20 @@ def _random_family(evidence: CampaignEvidence) -> Family:
     return lambda c: waves.get(c.name) or drift_family(c)
 
 
+def _first(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
+    """What a device is fitted with of which nothing is known."""
+    return [
+        *linear_columns(evidence),
+        *rate_columns(evidence, rate_known=False),
+        *frequency_columns(evidence),
+        *wander_columns(evidence, wander_rad_s, wander_rad_s),
+    ]
+
+
 def _nuisances(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
     return [
         *linear_columns(evidence, linear),
+        *rate_columns(evidence),
         *frequency_columns(evidence),
         *thermal_columns(evidence, linear),
         *wander_columns(evidence, wander_rad_s, open_drive_rad_s),

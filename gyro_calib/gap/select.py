@@ -171,7 +171,7 @@ def _named_all_the_same(
     taken = with_twins(c.name for c in chosen)
     tried = [s for n, cs in model.candidates.items() if n not in taken for c in cs if (s := screener.screen(c)) is not None and physical(s)]
     named = max(tried, key=lambda s: worth_of(s, own_directions(s)), default=None)
-    if named is None or worth_of(named, own_directions(named)) < worth_of(best) - _ALIKE:
+    if named is None or worth_of(named, own_directions(named)) < worth_of(best) - _ALIKE or not seen_at_rest(model, effects, named):
         return chosen, effects
     chosen = relinearised(model, [*chosen, _refined(model, screener, named.candidate)])
     return chosen, _together(model, chosen)

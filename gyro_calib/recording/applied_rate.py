@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import DataError
 from .recording import Recording
 
-__all__ = ["applied_rate", "table_axis", "words_of_steps"]
+__all__ = ["applied_rate", "is_straight", "table_axis", "words_of_steps"]
 
 FloatArray = NDArray[np.float64]
 
@@ -88,9 +88,13 @@ def _course(words: Mapping[str, Any]) -> tuple[FloatArray, FloatArray, bool]:
     times, rates = _numbers(words["t_s"], "t_s"), _numbers(words[unit], unit)
     if times.size == 0 or times.shape != rates.shape or np.any(np.diff(times) < 0.0):
         raise DataError(f"Attribute applied_rate must have as many rates as times, in order, but got {times.size} and {rates.size}.")
+    return times, np.radians(rates) if unit == "deg_s" else rates, is_straight(words)
+
+
+def is_straight(words: Mapping[str, Any]) -> bool:
+    """Whether the rate runs straight from point to point, rather than in steps."""
     kind = str(words.get("kind", "steps")).lower()
-    linear = any(word in kind for word in ("linear", "sample", "ramp")) and "step" not in kind
-    return times, np.radians(rates) if unit == "deg_s" else rates, linear
+    return any(word in kind for word in ("linear", "sample", "ramp")) and "step" not in kind
 
 
 def _start(recording: Recording) -> float:

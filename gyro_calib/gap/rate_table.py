@@ -1,0 +1,127 @@
+"""What a turned recording says of its table and of kappa: clock, delay and shape of the table's steps, the response to rate as columns.
+
+A table turns later than its log says: by its motor, its clock, and by where a recorder counts its rows from. For a wave that turns, the
+rate's derivatives tell it badly, for its speed jumps where the table moves, not where the log does. The log is mended first (`in_time`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..recording.applied_rate import is_straight
+from ..recording.recording import Recording
+from .columns import QUIET, SIGNAL, Column
+from .evidence import CampaignEvidence
+from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
+
+__all__ = ["in_time", "is_turned", "rate_columns", "steps_of"]
+
+#: a table's clock, and its lag behind what was commanded [s]
+_CLOCK_S, _LAG_S = 1e-3, 2e-2
+#: what rounds a step of the table, from the second moment on
+_MOMENTS = ("blur", "skew", "tails", "fifth_moment")
+#: how far kappa of a unit is from its factory's (latency of the loops, clock of the table)
+_KAPPA = 3e-4
+#: how far the feedthrough of a turned recording is from that of the others
+_UNTURNED = 3e-5
+#: reaction of the diagonal of A to rate over kappa
+_SKEWED_RATE = 0.05
+
+
+def is_turned(recording: Recording) -> bool:
+    """Whether a table turned during a recording, as its attributes tell."""
+    return "applied_rate" in recording.extras
+
+
+def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list[Column]:
+    """Response of A to rate: its antisymmetric part is kappa, the rest is the pick-offs' mismatch and non-orthogonality; the table's steps.
+
+    With ``rate_known`` the target already lacks the response to rate of the factory's kappa (`linear_device.target_of`), and what is
+    sought is how far the unit is from it; otherwise all of it.
+    """
+    if not any(is_turned(r.recording) for r in evidence):
+        return []
+    columns = collected("rate_anti", evidence, combined((0, 1), (1, 0), -1.0), _KAPPA if rate_known else np.inf)
+    # a motor takes its time, and a log begins anew with every recording
+    for r in evidence:
+        if is_turned(r.recording):
+            lag = combined((0, 1), (1, 0), -1.0, "jerk", lambda other, index=r.index: float(other.index == index))  # type: ignore[misc]
+            columns += collected(f"table_lag_{r.index}", evidence, lag, _LAG_S, real=True)
+    for name, f in (
+        ("rate_mismatch", combined((0, 1), (1, 0), 1.0)),
+        ("rate_sum", combined((0, 0), (1, 1), 1.0)),
+        ("rate_skew", combined((0, 0), (1, 1), -1.0)),
+    ):
+        columns += collected(name, evidence, f, _SKEWED_RATE)
+    for a in range(2):
+        for b in range(2):
+            place = f"{'xy'[a]}{'xy'[b]}"
+            columns += collected(f"table_{place}", evidence, entry("jerk", a, b), _CLOCK_S)
+            # what feeds through does not turn: -kappa Omega J (V - E u), of which the columns of E hold all but its dispersion
+            columns += collected(f"rate_feed_{place}", evidence, entry("rate_drive", a, b), _UNTURNED if rate_known else FEEDTHROUGH)
+    return columns + _rounded_steps(evidence)
+
+
+def _rounded_steps(evidence: CampaignEvidence) -> list[Column]:
+    """A step of the table as its motor and the recorder's filter round it: the rate's derivatives times the moments of what rounds it.
+
+    `1 / (1 + i w tau)`, a motor of time constant tau, is the series of `(-i w tau)^n`; that of a ramp falls faster.
+    """
+    sides = []
+    for place in (SIGNAL, QUIET):
+        vectors = []
+        for r in evidence:
+            s = r.signals
+            derivatives = [np.gradient(np.gradient(s.rate_rad_s, s.row_s), s.row_s)]
+            while len(derivatives) < len(_MOMENTS):
+                derivatives.append(np.gradient(derivatives[-1], s.row_s))
+            turning = np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1)
+            vectors.append(r.turn * place.projector(r).plain([d[:, None] * turning for d in derivatives]))
+        sides.append(vectors)
+    row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
+    size_s = math.sqrt(ROW_MOMENT * row_s**2 + _LAG_S**2)
+    signal, quiet = sides
+    return [
+        Column(f"table_{name}", tuple(v[:, k] for v in signal), tuple(v[:, k] for v in quiet), size_s ** (k + 2))
+        for k, name in enumerate(_MOMENTS)
+    ]
+
+
+def steps_of(values: Mapping[str, float], angular_gain: float) -> tuple[dict[int, float], float]:
+    """How late the table's steps were, by recording, and how long they took [s], by a fit with the factory's response to rate taken off.
+
+    ``Omega(t - tau) = Omega - tau Omega'``; a ramp of length T about its middle is ``Omega + T^2 / 24 Omega''``.
+    """
+    kappa = angular_gain + values.get("rate_anti_re", 0.0)
+    late = {int(name.rsplit("_", 1)[1]): -value / kappa for name, value in values.items() if name.startswith("table_lag_")}
+    square = max((x**2 for x in late.values()), default=0.0)
+    return late, math.sqrt(max(-24.0 * values.get("table_blur", 0.0) / kappa - 12.0 * square, 0.0))
+
+
+def in_time(evidence: CampaignEvidence, late_s: Mapping[int, float], length_s: float) -> CampaignEvidence:
+    """The same recordings with the table's log later by this, by index, and its steps ramps of this length."""
+    logged = {i: evidence.recordings[i].recording for i in late_s}
+    return evidence.replaced(
+        {i: _shifted(r, late_s[i], length_s) for i, r in logged.items() if isinstance(r.extras["applied_rate"], Mapping)}
+    )
+
+
+def _shifted(recording: Recording, late_s: float, length_s: float) -> Recording:
+    words: dict[str, Any] = dict(recording.extras["applied_rate"])
+    unit = "deg_s" if "deg_s" in words else "rad_s"
+    # what the table did before its first step it had done all the time
+    times, rates = [float(words["t_s"][0])], [float(words[unit][0])]
+    if is_straight(words):
+        times += [float(t) + late_s for t in words["t_s"][1:]]
+        rates += [float(rate) for rate in words[unit][1:]]
+    else:
+        for t, rate in zip(words["t_s"][1:], words[unit][1:], strict=True):
+            times += [float(t) + late_s - 0.5 * length_s, float(t) + late_s + 0.5 * length_s]
+            rates += [rates[-1], float(rate)]
+        words["kind"] = "linear"
+    return replace(recording, extras={**recording.extras, "applied_rate": {**words, "t_s": times, unit: rates}})
