@@ -10,10 +10,12 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from gyro_calib.gap.columns import Column
+from gyro_calib.gap.diagnosis import FoundEffect
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screener
 from gyro_calib.gap.system import Whitener, solve
 from gyro_calib.gap.told import told_sizes
+from gyro_calib.quantity import Quantity
 
 ROWS, DRAWS, SIGMAS = 60, 200, 1.96
 T_S = np.linspace(0.0, 2.0, ROWS)
@@ -83,3 +85,11 @@ def test_what_a_healthy_device_has_as_well_is_part_of_the_size() -> None:
     rows = 20.0 * Toy.shape(1.3) + rng.standard_normal(ROWS)
     sd, with_healthy = told(Toy(rows))["share"][1], told(Toy(rows, healthy_sd=0.7))["share"][1]
     assert with_healthy == pytest.approx(math.hypot(sd, 0.7), rel=1e-6)
+
+
+@pytest.mark.parametrize(("y", "named"), [(-11.2e-6, True), (0.42e-6, False), (0.95e-6, False)])
+def test_a_variant_by_axis_is_named_where_the_axes_are_unlike(y: float, named: bool) -> None:
+    """A stiffness that softens on one electrode axis: the group holds the name that says so."""
+    sizes = {"k_x": Quantity(0.4e-6, 3e-7, "1/s/V^2"), "k_y": Quantity(y, 3e-7, "1/s/V^2")}
+    found = FoundEffect("duffing", "Stiffness", ("duffing",), 0.9, sizes, "dynamics", "duffing_axes", 80.0)
+    assert found.to_json()["group"] == (["duffing", "duffing_axes"] if named else ["duffing"])

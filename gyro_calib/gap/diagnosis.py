@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -17,6 +18,8 @@ __all__ = ["SCHEMA", "Alternative", "Diagnosis", "FoundEffect", "Gap", "NextExpe
 #: version of the JSON
 SCHEMA = 1
 _MAP_CELLS = 60
+#: two axes of an effect are unlike beyond so many standard deviations and this share: pick-offs alone make 6 % of a cubic one
+_UNLIKE_SD, _UNLIKE = 4.0, 0.1
 #: on what something unknown depends that is of some experiments and has no form
 _OF_EXPERIMENTS = ("recording", "experiment")
 
@@ -62,7 +65,7 @@ class FoundEffect:
         return {
             "name": self.name,
             "title": self.title,
-            "group": list(self.group),
+            "group": [*self.group, *self._by_axis()],
             "probability": self.probability,
             "parameters": {name: q.to_json() for name, q in self.parameters.items()},
             "location": self.location,
@@ -70,6 +73,15 @@ class FoundEffect:
             "chi_square": self.gain,
             "harmless": self.harmless,
         }
+
+    def _by_axis(self) -> list[str]:
+        """The variant by axis, if the axes are less alike than a unit's pick-offs make them."""
+        sizes = list(self.parameters.values())
+        if self.registry_name in self.group or len(sizes) != 2:
+            return []
+        (x, y), apart = sizes, abs(sizes[0].value - sizes[1].value)
+        unlike = apart > max(_UNLIKE_SD * math.hypot(x.sd, y.sd), _UNLIKE * max(abs(x.value), abs(y.value)))
+        return [self.registry_name] if unlike else []
 
 
 @dataclass(frozen=True)
