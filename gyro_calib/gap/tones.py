@@ -46,7 +46,7 @@ class Tone:
     name : str
         ``"mains_pickup"`` or ``"external_tone"``.
     alike : tuple of str
-        The other, where these records do not tell them apart.
+        What these records do not tell it from.
     frequency_hz, frequency_sd_hz : float
         Of the hum about the carrier; of the tone itself.
     volts, volts_sd : ndarray, shape (2,)
@@ -157,7 +157,8 @@ def _told(spectra: Sequence[PickSpectrum], line: _Line, linear: Linear, evidence
     frequency = distance if hum else (line.frequency_hz if not line.hum else carrier + sign * distance)
     return Tone(
         name=name,
-        alike=(other,) if mirrored and even else (),
+        # one line: volts o on the pick-offs and a force L[o] are the same
+        alike=((other,) if mirrored and even else ()) + (() if hum else ("pickoff_interference",)),
         frequency_hz=frequency,
         frequency_sd_hz=0.3 * max(s.bin_hz for s in used) / math.sqrt(len(used)),
         volts=np.median(sizes, axis=0),
