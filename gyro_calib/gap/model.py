@@ -147,14 +147,7 @@ def look_at(
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
     linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
-    late, length = steps_of(values, angular_gain)
-    if max([abs(x) for x in late.values()] + [length]) > _TABLE_S:
-        logged, length = evidence, 0.0  # of a log that is late its second moment says little
-        for _ in range(_TABLE_ROUNDS):
-            evidence = in_time(logged, late, length)
-            linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
-            more, longer = steps_of(values, angular_gain)
-            late, length = {i: x + more[i] for i, x in late.items()}, math.hypot(length, longer)
+    evidence, linear, values = _in_time(evidence, linear, values, angular_gain, most)
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed_rad_s and linear.frequency_slope_rad_s_k else 0.0
@@ -273,6 +266,23 @@ def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: f
     whitener = Whitener.of(evidence, noise, excess)
     values = solve(columns, whitener.design(columns, len(evidence)), whitener.rows(target_of(evidence, angular_gain))).by_name()
     return linear_of(evidence, values, angular_gain), values
+
+
+def _in_time(
+    evidence: CampaignEvidence, linear: Linear, values: dict[str, float], angular_gain: float, most_rad_s: float
+) -> tuple[CampaignEvidence, Linear, dict[str, float]]:
+    """The recordings with the log of their table mended as the fit says, and their own fit."""
+    logged, late_s, length_s = evidence, dict[int, float](), 0.0
+    for k in range(_TABLE_ROUNDS):
+        later, longer = steps_of(values, angular_gain)
+        if max([abs(x) for x in later.values()] + [longer]) < _TABLE_S:
+            break
+        late_s = {i: late_s.get(i, 0.0) + x for i, x in later.items()}
+        # of a log that is late its second moment says little
+        length_s = math.hypot(length_s, longer) if k else 0.0
+        evidence = in_time(logged, late_s, length_s)
+        linear, values = _resonant(evidence, _nuisances(evidence, linear, most_rad_s, most_rad_s), angular_gain)
+    return evidence, linear, values
 
 
 def _missing(evidence: CampaignEvidence) -> set[str]:
