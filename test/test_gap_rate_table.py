@@ -10,12 +10,12 @@ import pytest
 from table_samples import looked_at, loudest, on_a_table
 
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.rate_table import is_turned
+from gyro_calib.gap.rate_table import is_turned, said_late
 from gyro_calib.recording.applied_rate import applied_rate
 from gyro_calib.recording.recording import Recording
 
 #: how late the table is, by recording [s]
-LATE_S = {"table_x": 0.031, "table_y": 0.024}
+LATE_S = {"table_x": 0.061, "table_y": 0.024}
 
 
 def logged_early(recording: Recording) -> Recording:
@@ -56,3 +56,9 @@ def test_a_feedthrough_does_not_turn_and_hides_nothing_either() -> None:
     """E is known from the open drives: with four free entries of a turned one an asymmetry had forty times this."""
     ((_, sd),) = loudest(model(late=False), "rate_asymmetry").sizes().values()
     assert sd < 3e-5
+
+
+def test_a_table_that_is_too_late_for_its_motor_is_told() -> None:
+    (told,) = said_late(model(late=True).evidence, model(late=True).late_s)
+    assert "'table_x' turned 61 ms later" in told
+    assert said_late(model(late=False).evidence, model(late=False).late_s) == []

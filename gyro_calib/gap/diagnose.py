@@ -23,6 +23,7 @@ from .loud import loudest
 from .model import CampaignModel, look_at
 from .next_experiment import experiment_for, next_experiment
 from .preflight import check_campaign, usable
+from .rate_table import said_late
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
@@ -64,6 +65,7 @@ def diagnose(
     kappa, f0, q = (_factory(campaign, name) for name in ("angular_gain_kappa", "nominal_f0_hz", "nominal_q"))
     left_out = tuple(without)
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
+    warnings = [*warnings, *said_late(model.evidence, model.late_s)]
     report(0.7, "selecting effects")
     beside = spectral_effects(recordings, model.linear, left_out)
     selection = _without_products(model, select_effects(model), beside.products)

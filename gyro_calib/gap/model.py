@@ -69,6 +69,8 @@ class CampaignModel:
     base : Solution
     excess : mapping
         By how much the noise of a recording's channel is larger than that of its kind, by index and channel.
+    late_s : mapping
+        How much later than its log a table turned, by index of the recording; that is mended in ``evidence``.
     """
 
     evidence: CampaignEvidence
@@ -82,6 +84,7 @@ class CampaignModel:
     screener: Screener
     base: Solution
     excess: Mapping[tuple[int, str], float] = field(default_factory=dict)
+    late_s: Mapping[int, float] = field(default_factory=dict)
 
     def candidate(self, name: str, setting: Setting) -> Candidate:
         """An effect at another setting than those of its grid."""
@@ -147,7 +150,7 @@ def look_at(
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
     linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
-    evidence, linear, values = _in_time(evidence, linear, values, angular_gain, most)
+    evidence, linear, values, late_s = _in_time(evidence, linear, values, angular_gain, most)
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed_rad_s and linear.frequency_slope_rad_s_k else 0.0
@@ -171,7 +174,7 @@ def look_at(
         screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
     report(1.0, "noise")
-    return CampaignModel(evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess)
+    return CampaignModel(evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess, late_s)
 
 
 def _weighed(
@@ -270,8 +273,8 @@ def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: f
 
 def _in_time(
     evidence: CampaignEvidence, linear: Linear, values: dict[str, float], angular_gain: float, most_rad_s: float
-) -> tuple[CampaignEvidence, Linear, dict[str, float]]:
-    """The recordings with the log of their table mended as the fit says, and their own fit."""
+) -> tuple[CampaignEvidence, Linear, dict[str, float], dict[int, float]]:
+    """The recordings with the log of their table mended as the fit says, their own fit, and how late the tables were."""
     logged, late_s, length_s = evidence, dict[int, float](), 0.0
     for k in range(_TABLE_ROUNDS):
         later, longer = steps_of(values, angular_gain)
@@ -282,7 +285,7 @@ def _in_time(
         length_s = math.hypot(length_s, longer) if k else 0.0
         evidence = in_time(logged, late_s, length_s)
         linear, values = _resonant(evidence, _nuisances(evidence, linear, most_rad_s, most_rad_s), angular_gain)
-    return evidence, linear, values
+    return evidence, linear, values, late_s
 
 
 def _missing(evidence: CampaignEvidence) -> set[str]:

@@ -19,7 +19,7 @@ from .columns import QUIET, SIGNAL, Column
 from .evidence import CampaignEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
 
-__all__ = ["in_time", "is_turned", "rate_columns", "steps_of"]
+__all__ = ["in_time", "is_turned", "rate_columns", "said_late", "steps_of"]
 
 #: a table's clock, and its lag behind what was commanded [s]
 _CLOCK_S, _LAG_S = 1e-3, 2e-2
@@ -29,6 +29,8 @@ _MOMENTS = ("blur", "skew", "tails", "fifth_moment")
 _KAPPA = 3e-4
 #: how far the feedthrough of a turned recording is from that of the others
 _UNTURNED = 3e-5
+#: delay of which the user is told [s]
+_TOLD_S = 0.05
 #: reaction of the diagonal of A to rate over kappa
 _SKEWED_RATE = 0.05
 
@@ -109,6 +111,16 @@ def in_time(evidence: CampaignEvidence, late_s: Mapping[int, float], length_s: f
     return evidence.replaced(
         {i: _shifted(r, late_s[i], length_s) for i, r in logged.items() if isinstance(r.extras["applied_rate"], Mapping)}
     )
+
+
+def said_late(evidence: CampaignEvidence, late_s: Mapping[int, float]) -> list[str]:
+    """One line per recording whose table was later, or earlier, than a motor is."""
+    names = [(evidence.recordings[i].recording.label, x) for i, x in late_s.items() if abs(x) > _TOLD_S]
+    return [
+        f"The table of recording {label!r} turned {1e3 * abs(x):.0f} ms {'later' if x > 0.0 else 'earlier'} than its applied_rate says: "
+        "taken off. Check the clock of the table's log and the delay of the recorder's filter."
+        for label, x in names
+    ]
 
 
 def _shifted(recording: Recording, late_s: float, length_s: float) -> Recording:
