@@ -10,7 +10,7 @@ import pytest
 from table_samples import looked_at, loudest, on_a_table
 
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.rate_table import is_turned, said_late
+from gyro_calib.gap.rate_table import is_turned, said_late, shifted
 from gyro_calib.recording.applied_rate import applied_rate
 from gyro_calib.recording.recording import Recording
 
@@ -62,3 +62,15 @@ def test_a_table_that_is_too_late_for_its_motor_is_told() -> None:
     (told,) = said_late(model(late=True).evidence, model(late=True).late_s)
     assert "'table_x' turned 61 ms later" in told
     assert said_late(model(late=False).evidence, model(late=False).late_s) == []
+
+
+@pytest.mark.parametrize("late_s", [0.03, -0.03])
+def test_a_log_of_many_small_steps_stays_in_order(late_s: float) -> None:
+    (recording,) = [r for r in on_a_table() if r.label == "table_x"]
+    t = np.arange(0.0, recording.duration_s, 0.01)
+    dense = replace(recording, extras={**recording.extras, "applied_rate": {"t_s": list(t), "deg_s": list(50.0 * np.sin(t))}})
+    mended = shifted(dense, late_s, 0.025)
+    rate, _ = applied_rate(mended)
+    row_s = 1.0 / recording.sample_rate_hz
+    logged = np.deg2rad(50.0 * np.sin(np.arange(len(rate)) * row_s - late_s))
+    np.testing.assert_allclose(rate[50:-50], logged[50:-50], atol=1.5e-2)

@@ -19,7 +19,7 @@ from .columns import QUIET, SIGNAL, Column
 from .evidence import CampaignEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
 
-__all__ = ["in_time", "is_turned", "rate_columns", "said_late", "steps_of"]
+__all__ = ["in_time", "is_turned", "rate_columns", "said_late", "shifted", "steps_of"]
 
 #: a table's clock, and its lag behind what was commanded [s]
 _CLOCK_S, _LAG_S = 1e-3, 2e-2
@@ -109,7 +109,7 @@ def in_time(evidence: CampaignEvidence, late_s: Mapping[int, float], length_s: f
     """The same recordings with the table's log later by this, by index, and its steps ramps of this length."""
     logged = {i: evidence.recordings[i].recording for i in late_s}
     return evidence.replaced(
-        {i: _shifted(r, late_s[i], length_s) for i, r in logged.items() if isinstance(r.extras["applied_rate"], Mapping)}
+        {i: shifted(r, late_s[i], length_s) for i, r in logged.items() if isinstance(r.extras["applied_rate"], Mapping)}
     )
 
 
@@ -123,17 +123,23 @@ def said_late(evidence: CampaignEvidence, late_s: Mapping[int, float]) -> list[s
     ]
 
 
-def _shifted(recording: Recording, late_s: float, length_s: float) -> Recording:
+def shifted(recording: Recording, late_s: float, length_s: float) -> Recording:
+    """A recording with its table's log later by ``late_s`` and its steps ramps of ``length_s`` (both s)."""
     words: dict[str, Any] = dict(recording.extras["applied_rate"])
     unit = "deg_s" if "deg_s" in words else "rad_s"
+    begun, *edges = (float(t) for t in words["t_s"])
+    first, *heights = (float(rate) for rate in words[unit])
     # what the table did before its first step it had done all the time
-    times, rates = [float(words["t_s"][0])], [float(words[unit][0])]
+    times, rates = [begun], [first]
     if is_straight(words):
-        times += [float(t) + late_s for t in words["t_s"][1:]]
-        rates += [float(rate) for rate in words[unit][1:]]
+        times += [t + late_s for t in edges]
+        rates += heights
     else:
-        for t, rate in zip(words["t_s"][1:], words[unit][1:], strict=True):
-            times += [float(t) + late_s - 0.5 * length_s, float(t) + late_s + 0.5 * length_s]
-            rates += [rates[-1], float(rate)]
+        # a log of many small steps is a course already
+        half = 0.5 * min([length_s, *np.diff([begun, *edges])])
+        for t, rate in zip(edges, heights, strict=True):
+            times += [t + late_s - half, t + late_s + half]
+            rates += [rates[-1], rate]
         words["kind"] = "linear"
-    return replace(recording, extras={**recording.extras, "applied_rate": {**words, "t_s": times, unit: rates}})
+    in_order = [float(t) for t in np.maximum.accumulate(np.maximum(times, begun))]
+    return replace(recording, extras={**recording.extras, "applied_rate": {**words, "t_s": in_order, unit: rates}})
