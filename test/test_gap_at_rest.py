@@ -7,8 +7,8 @@ from dataclasses import replace
 from table_samples import looked_at, loudest, on_a_table
 
 from gyro_calib.effects import EFFECTS
-from gyro_calib.gap.rate_table import is_turned
 from gyro_calib.gap.select import seen_at_rest, select_effects
+from gyro_calib.recording.applied_rate import is_turned
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.recording import Recording
 

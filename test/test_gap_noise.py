@@ -15,8 +15,8 @@ from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.noise import _tamed, measured_noise, plain_noise
 from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.preflight import usable
-from gyro_calib.gap.rate_table import is_turned
 from gyro_calib.gap.saturated import saturated_columns, with_twins
+from gyro_calib.recording.applied_rate import is_turned
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit

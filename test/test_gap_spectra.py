@@ -74,6 +74,7 @@ def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
     tone = find_tone(pick_spectra(records(np.random.default_rng(2), tone=(15041.7, 3e-6))), LINEAR)
     assert tone is not None
     assert tone.name == "external_tone"
+    assert "pickoff_interference" in tone.alike
     assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
     # what moves the pick-off by that much at 41.7 Hz from resonance
     assert tone.volts[0] == pytest.approx(3e-6 * 2 * np.pi * 41.55 / 8.0, rel=0.1)

@@ -22,6 +22,7 @@ from scipy.optimize import least_squares
 
 from ..errors import CalibrationRefused
 from ..quantity import Quantity
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Campaign, Recording
 from .rate_table import RateTableFit, fit_rate_table
 from .separation import PickoffFrame, angular_response
@@ -151,7 +152,7 @@ def calibrate_factory(
 
 def _usable(campaign: Campaign) -> tuple[list[Recording], list[str]]:
     """Recordings near the temperature of the table runs."""
-    turned = [r for r in campaign if "applied_rate" in r.extras]
+    turned = [r for r in campaign if is_turned(r)]
     if not turned:
         raise CalibrationRefused(
             f"Recordings of {campaign.device_id} must include a rate-table run (attribute applied_rate), but got none. "

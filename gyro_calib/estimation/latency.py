@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..quantity import Quantity
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .wave import smooth_azimuth, wave_coordinates
 
@@ -65,7 +66,7 @@ class _Part:
 
 
 def _parts(recording: Recording) -> list[_Part]:
-    if recording.command.mode != "whole_angle" or "applied_rate" in recording.extras:
+    if recording.command.mode != "whole_angle" or is_turned(recording):
         return []
     wave = wave_coordinates(recording, commanded=True)
     if np.ptp(wave.azimuth_rad) < _LEAST_TURN_RAD:

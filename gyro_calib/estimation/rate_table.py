@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from ..errors import CalibrationRefused
-from ..recording.applied_rate import applied_rate, table_axis
+from ..recording.applied_rate import applied_rate, is_turned, table_axis
 from ..recording.recording import Recording
 from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis
 from .projection import Projected, project, test_functions
@@ -87,7 +87,7 @@ def fit_rate_table(recordings: list[Recording], decay_rate: float) -> RateTableF
     CalibrationRefused
         No table run, or recordings that do not excite what must be found.
     """
-    if not any("applied_rate" in r.extras for r in recordings):
+    if not any(is_turned(r) for r in recordings):
         raise CalibrationRefused(
             "Recordings must include a rate-table run (attribute applied_rate), but got none. Turn the gyro, and say how it was turned."
         )
@@ -123,7 +123,7 @@ class _Turned:
 
     @classmethod
     def of(cls, recording: Recording, lines: list[float]) -> _Turned | None:
-        if "applied_rate" not in recording.extras:
+        if not is_turned(recording):
             return None
         row_s = 1.0 / recording.sample_rate_hz
         phi = test_functions(recording.t, row_s, lines).value
@@ -152,7 +152,7 @@ class _Data:
         omega0 = 2.0 * math.pi * float(np.mean([r.column("ref_freq").mean() for r in recordings if r.command.mode != "loops_off"]))
         axes: list[FloatArray] = []
         for r in recordings:
-            if "applied_rate" in r.extras and not any(np.allclose(table_axis(r), axis, atol=1e-9) for axis in axes):
+            if is_turned(r) and not any(np.allclose(table_axis(r), axis, atol=1e-9) for axis in axes):
                 axes.append(table_axis(r))
         return cls(
             recordings=recordings,

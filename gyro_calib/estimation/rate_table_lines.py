@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .linear_fit import AXES, NoiseModel, fit_noise
 from .projection import Projected
@@ -71,7 +72,7 @@ def role_of(recording: Recording, axis: int, omega0: float) -> str:
 
 def _moves(recording: Recording) -> bool:
     """Whether the signals hold more than what a modulation put there."""
-    return "applied_rate" in recording.extras or recording.command.mode in ("whole_angle", "ring_down", "ring_up", "stiffness")
+    return is_turned(recording) or recording.command.mode in ("whole_angle", "ring_down", "ring_up", "stiffness")
 
 
 def signal_lines_of(recording: Recording) -> list[float]:

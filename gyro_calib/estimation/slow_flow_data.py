@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Campaign, Recording
 from .linear_fit import AXES
 from .projection import Projected, project
@@ -35,7 +36,7 @@ def usable_recordings(campaign: Campaign, window_k: float = TEMPERATURE_WINDOW_K
     median = _median_temperature([r for r in wanted if np.ptp(r.temperature_degc) <= 2.0 * window_k] or wanted)
     for r in wanted:
         temperature = r.temperature_degc
-        if "applied_rate" in r.extras:
+        if is_turned(r):
             skipped.append(f"{r.label}: a rate was applied")
         elif abs(temperature.mean() - median) > window_k or np.ptp(temperature) > 2.0 * window_k:
             skipped.append(f"{r.label}: temperature {temperature.min():.2f} to {temperature.max():.2f} degC, median {median:.2f}")

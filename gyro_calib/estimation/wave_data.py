@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis, fit_noise
 from .wave_layout import Layout
@@ -249,7 +250,7 @@ class WaveData:
                 for role, length in longest.items()
             }
             for i, r in enumerate(self.recordings):
-                if "applied_rate" in r.extras:
+                if is_turned(r):
                     # a table's course is never quite what it is said to be: what the quiet lines leave counts at all lines
                     found[i, channel] = quiet[i, channel]
                     continue

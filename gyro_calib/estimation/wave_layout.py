@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..recording.applied_rate import applied_rate, is_turned
 from ..recording.recording import Recording
 from .wave_projection import WaveProjected
 from .wave_terms import Term
@@ -77,7 +78,7 @@ class Layout:
         """What these recordings can determine; ``turn_rad`` is the farthest that a wave turned in one of them."""
         open_drive = [r.command.excitation.frequency_hz for r in recordings if r.command.excitation.kind == "drive"]
         away = [abs(f - omega0_rad_s / (2.0 * np.pi)) for f in open_drive]
-        turned = [r for r in recordings if "applied_rate" in r.extras]
+        turned = [r for r in recordings if is_turned(r)]
         warmed = len(recordings) >= _LEAST_WARM and _spread_k(recordings) > _LEAST_SPREAD_K
         return cls(
             omega0_rad_s=omega0_rad_s,
@@ -214,6 +215,4 @@ def _spread_k(recordings: Sequence[Recording]) -> float:
 
 
 def _changes(recording: Recording) -> bool:
-    from ..recording.applied_rate import applied_rate
-
     return bool(np.any(applied_rate(recording)[1] != 0.0))

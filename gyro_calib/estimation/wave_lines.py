@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 
 __all__ = ["quiet_lines", "role_of", "signal_lines"]
@@ -30,7 +31,7 @@ def role_of(recording: Recording) -> str:
     mode = recording.command.mode
     if mode == "loops_off":
         return f"open at {recording.command.excitation.frequency_hz:.0f} Hz"
-    if "applied_rate" in recording.extras:
+    if is_turned(recording):
         return "turned"
     if mode == "whole_angle":
         return "precession" if recording.command.setpoints.virtual_precession_v != 0.0 else "free"
@@ -50,11 +51,11 @@ def signal_lines(recording: Recording, speed_rad_s: float) -> list[float]:
         return [0.0]
     step = 1.0 / recording.duration_s
     excitation = recording.command.excitation
-    if recording.command.oscillator_axis and "applied_rate" not in recording.extras:
+    if recording.command.oscillator_axis and not is_turned(recording):
         return [0.0, excitation.frequency_hz] if excitation.kind.endswith("modulation") else [step * k for k in range(4)]
     turn = speed_rad_s / (2.0 * math.pi)
     top = _HARMONICS * turn + 3.0 * step
-    if recording.command.mode != "whole_angle" or "applied_rate" in recording.extras:
+    if recording.command.mode != "whole_angle" or is_turned(recording):
         top = max(top, min(_SWITCHED_HZ, _SWITCHED_LINES * step))
     top = min(top, 0.5 * _QUIET_TOP * recording.sample_rate_hz)
     lines = step * np.arange(int(top / step) + 1)
@@ -70,12 +71,12 @@ def quiet_lines(recording: Recording, highest_signal_hz: float, speed_rad_s: flo
     """
     step = 1.0 / recording.duration_s
     first = highest_signal_hz + 1.8 * step
-    if recording.command.mode != "whole_angle" or "applied_rate" in recording.extras:
+    if recording.command.mode != "whole_angle" or is_turned(recording):
         # what a switched drive excites falls fast with frequency, and the model takes it away: noise is measured among it, from where it
         # matters
         first = min(first, max(_SWITCHED_QUIET_HZ, 3.0 * step))
     last = max(min(first + max(_QUIET_HZ, 8.0 * step), _QUIET_TOP * recording.sample_rate_hz), first + 4.0 * step)
-    if "applied_rate" in recording.extras:
+    if is_turned(recording):
         # a step of the table has its shape up there, which no log tells and no line of the signal needs
         last = max(min(last, _TURNED_QUIET * highest_signal_hz), highest_signal_hz + 8.0 * step)
     lines = np.geomspace(first, last, _QUIET_LINES)

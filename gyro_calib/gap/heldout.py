@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from ..recording.applied_rate import is_turned
 from .columns import Column
 from .model import CampaignModel
 from .saturated import effect_columns
@@ -177,7 +178,7 @@ class _Part:
                 continue
             before, after = (self._rate(k, left[rows]) for left in (plain, rich))
             gain = float(plain[rows] @ plain[rows] - rich[rows] @ rich[rows])
-            steady = r.is_wave and not r.is_warming and "applied_rate" not in r.recording.extras
+            steady = r.is_wave and not r.is_warming and not is_turned(r.recording)
             out.append(_Unseen(r.recording.label, gain, before, after, steady))
         return out
 

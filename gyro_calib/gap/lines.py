@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..estimation.wave_lines import quiet_lines, signal_lines
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 
 __all__ = ["Lines", "lines_of"]
@@ -35,7 +36,7 @@ def lines_of(recording: Recording, speed_rad_s: float) -> Lines:
         signal = [0.0, *(k * nu for k in range(1, _SIDE_BAND_HARMONICS + 1) if k * nu < _HIGHEST_HZ)]
     elif recording.command.mode == "loops_off":
         signal = [0.0]
-    elif recording.command.oscillator_axis and "applied_rate" not in recording.extras:
+    elif recording.command.oscillator_axis and not is_turned(recording):
         signal = [step * k for k in range(_STEADY_LINES)]
     else:
         signal = signal_lines(recording, speed_rad_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..recording.applied_rate import is_turned
 from .diagnosis import Unknown
 from .evidence import CHANNELS
 from .model import CampaignModel
@@ -51,6 +52,6 @@ def loudest(model: CampaignModel) -> Loud | None:
         Loud(r.recording.label, channel, model.excess[r.index, channel], r.signal.lhs.size)
         for r in model.evidence
         for channel in CHANNELS
-        if model.excess.get((r.index, channel), 0.0) > _LOUD and "applied_rate" not in r.recording.extras
+        if model.excess.get((r.index, channel), 0.0) > _LOUD and not is_turned(r.recording)
     ]
     return max(found, key=lambda loud: loud.ratio, default=None)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
@@ -93,7 +94,7 @@ class CampaignModel:
     @cached_property
     def _at_rest(self) -> Whitener | None:
         """Weights with which turned recordings say nothing; none where there are none."""
-        turned = {(r.index, c): _SILENT for r in self.evidence if "applied_rate" in r.recording.extras for c in CHANNELS}
+        turned = {(r.index, c): _SILENT for r in self.evidence if is_turned(r.recording) for c in CHANNELS}
         return Whitener.of(self.evidence, self.noise, {**self.excess, **turned}) if turned else None
 
     def at_rest(self, found: Screened, others: Sequence[Candidate]) -> Screened | None:

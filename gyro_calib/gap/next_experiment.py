@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..effects import EFFECTS
+from ..recording.applied_rate import is_turned
 from .diagnosis import Alternative, NextExperiment, Standing, Unknown
 from .model import CampaignModel
 from .select import Selection
@@ -53,7 +54,7 @@ def _varied(model: CampaignModel) -> set[str]:
     found = {
         "temperature": np.ptp([float(r.signals.temperature_k.mean()) for r in model.evidence]) > _TEMPERATURE_K
         or any(r.is_warming for r in model.evidence),
-        "rate": any("applied_rate" in r.extras for r in records),
+        "rate": any(is_turned(r) for r in records),
         "amplitudes": max(amplitudes) > _AMPLITUDES * min(amplitudes),
         "open drive": any(r.command.excitation.kind == "drive" for r in records),
         "side bands": any(r.command.excitation.kind.endswith("modulation") for r in records),

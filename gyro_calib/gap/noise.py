@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..recording.applied_rate import is_turned
 from .columns import Column
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
@@ -152,7 +153,7 @@ def _with_table(
     solution = solve(told, whitener.design(told, len(evidence)), whitener.rows(target))
     more = dict(excess)
     for _, r, _, _, channel, rows in _parts(evidence):
-        if "applied_rate" in r.recording.extras:
+        if is_turned(r.recording):
             ratio = float(np.mean(solution.residual[rows] ** 2))
             if ratio > 1.0 + _UNLIKE * np.sqrt(2.0 / (rows.stop - rows.start)):
                 more[r.index, channel] = more.get((r.index, channel), 1.0) * ratio
@@ -243,7 +244,7 @@ def _steady(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, 
 def _is_steady(r: RecordingEvidence) -> bool:
     command = r.recording.command
     changes = command.excitation.kind != "none" or command.setpoints.virtual_precession_v != 0.0 or command.mode in SWITCHED
-    return r.is_wave and not (changes or r.is_warming or "applied_rate" in r.recording.extras)
+    return r.is_wave and not (changes or r.is_warming or is_turned(r.recording))
 
 
 def _tamed(noise: NoiseByRole, waves: set[str]) -> NoiseByRole:
@@ -296,7 +297,7 @@ def _repeated(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole
     groups: dict[tuple[object, ...], list[slice]] = defaultdict(list)
     of_group: dict[tuple[object, ...], tuple[Key, float]] = {}
     for _, r, _, _, channel, rows in _parts(evidence):
-        plain = r.is_wave and not r.is_warming and "applied_rate" not in r.recording.extras
+        plain = r.is_wave and not r.is_warming and not is_turned(r.recording)
         if plain and r.lines(channel).is_mean[0] and channel != "frequency":
             condition = (*_condition(r), channel)
             groups[condition].append(rows)

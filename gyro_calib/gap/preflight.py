@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import DataError
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Campaign, Recording
 from .parts import Linear
 
@@ -105,7 +106,7 @@ def _cut_short(campaign: Campaign) -> list[str]:
     for r in campaign:
         # a faster precession is through its turn earlier
         volts = round(abs(r.command.setpoints.virtual_precession_v), 2)
-        lengths[r.command.mode, r.command.excitation.kind, volts, "applied_rate" in r.extras].append(r)
+        lengths[r.command.mode, r.command.excitation.kind, volts, is_turned(r)].append(r)
     out = []
     for alike in lengths.values():
         usual = float(np.median([r.duration_s for r in alike]))
@@ -148,7 +149,7 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
             raise DataError(
                 f"The {axis} mode must be damped, but got {A[k, k].real:+.3g} 1/s. Check the sign and unit of the columns of {axis}."
             )
-    if any("applied_rate" in r.extras for r in recordings) and all(_swings(k, recordings) for k in range(2)):
+    if any(is_turned(r) for r in recordings) and all(_swings(k, recordings) for k in range(2)):
         response = values.get("rate_anti_re", linear.angular_gain)
         if response < 0.0:
             raise DataError(

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from ..recording.applied_rate import is_straight
+from ..recording.applied_rate import is_straight, is_turned
 from ..recording.recording import Recording
 from .columns import QUIET, SIGNAL, Column
 from .evidence import CampaignEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
 
-__all__ = ["in_time", "is_turned", "rate_columns", "said_late", "shifted", "steps_of"]
+__all__ = ["in_time", "rate_columns", "said_late", "shifted", "steps_of"]
 
 #: a table's clock, and its lag behind what was commanded [s]
 _CLOCK_S, _LAG_S = 1e-3, 2e-2
@@ -33,11 +33,6 @@ _UNTURNED = 3e-5
 _TOLD_S = 0.05
 #: reaction of the diagonal of A to rate over kappa
 _SKEWED_RATE = 0.05
-
-
-def is_turned(recording: Recording) -> bool:
-    """Whether a table turned during a recording, as its attributes tell."""
-    return "applied_rate" in recording.extras
 
 
 def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list[Column]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ..estimation.wave import wave_coordinates
+from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .signals import WARMING_K, smooth_temperature
 
@@ -66,7 +67,7 @@ def plain_records(recordings: Sequence[Recording]) -> list[Recording]:
 
 def _is_plain(r: Recording) -> bool:
     held = r.command.mode.startswith("ftr") or r.command.mode == "whole_angle"
-    steady = "applied_rate" not in r.extras and float(np.ptp(smooth_temperature(r))) < WARMING_K
+    steady = not is_turned(r) and float(np.ptp(smooth_temperature(r))) < WARMING_K
     return held and steady and r.duration_s >= _SHORTEST_S and r.command.excitation.kind in ("none", "amplitude_modulation")
 
 

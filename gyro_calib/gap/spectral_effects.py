@@ -67,7 +67,7 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     tone, growth = find_tone(spectra, linear), noise_growth(recordings)
     effects = []
     if tone is not None and tone.name not in left_out:
-        effects.append(_tone(tone))
+        effects.append(_tone(tone, left_out))
     if growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
     present = {e.name for e in effects}
@@ -77,7 +77,7 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings), products)
 
 
-def _tone(tone: Tone) -> FoundEffect:
+def _tone(tone: Tone, left_out: set[str]) -> FoundEffect:
     effect = EFFECTS[tone.name]
     names = ("v_x", "v_y") if tone.name == "mains_pickup" else ("a_x", "a_y")
     parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz")}
@@ -85,7 +85,7 @@ def _tone(tone: Tone) -> FoundEffect:
     return FoundEffect(
         name=tone.name,
         title=effect.title,
-        group=(tone.name, *tone.alike),
+        group=(tone.name, *(name for name in tone.alike if name not in left_out)),
         probability=_PROBABILITY,
         parameters=parameters,
         location=effect.location,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import DataError
 from .recording import Recording
 
-__all__ = ["applied_rate", "is_straight", "table_axis", "words_of_steps"]
+__all__ = ["applied_rate", "is_straight", "is_turned", "table_axis", "words_of_steps"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +31,11 @@ def words_of_steps(t_s: list[float], rate_rad_s: list[float], axis: tuple[float,
         "deg_s": [math.degrees(rate) for rate in rate_rad_s],
         "axis": [float(a) for a in axis],
     }
+
+
+def is_turned(recording: Recording) -> bool:
+    """Whether a table turned during a recording, as its attributes tell."""
+    return "applied_rate" in recording.extras
 
 
 def table_axis(recording: Recording) -> FloatArray:
