@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from .memory import remembered
-from .parts import SKEW, Form, Kind, Linear, Part, Setting, read_at_once
+from .parts import SKEW, Form, Kind, Linear, Part, Setting, read_at_once, turned
 from .signals import Signals
 
 __all__ = ["FORMS", "behind", "conjugate_product", "cube"]
@@ -101,13 +101,8 @@ def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
     return [
         Part(f"{letter}_c", "flow", factor * x * np.array([1.0, -1.0])),
         Part(f"{letter}_s", "flow", factor * _swapped(x)),
-        Part(SKEW, "flow", factor * _turned(x)),
+        Part(SKEW, "flow", factor * turned(x)),
     ]
-
-
-def _turned(x: ComplexArray) -> ComplexArray:
-    """J x."""
-    return np.stack([-x[:, 1], x[:, 0]], axis=1)
 
 
 def _lag(s: Signals, x: ComplexArray) -> ComplexArray:
@@ -369,9 +364,9 @@ FORMS: dict[str, Form] = {
     "pickoff_phase_drift": _read_by_axis("g", lambda s, v: 1j * _late(s)[:, None] * v),
     "centrifugal_stiffness": _stiffness("k", lambda s: s.rate_rad_s**2),
     "rate_dependent_damping": _damping("c", _rate),
-    "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * _turned(_motion(s, d)))]),
+    "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * turned(_motion(s, d)))]),
     "rate_nonlinearity": Form(
-        lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * _turned(_motion(s, d)))]
+        lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * turned(_motion(s, d)))]
     ),
-    "rate_asymmetry": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s**2)[:, None] * _turned(_motion(s, d)))]),
+    "rate_asymmetry": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s**2)[:, None] * turned(_motion(s, d)))]),
 }

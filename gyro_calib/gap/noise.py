@@ -23,7 +23,7 @@ from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
 from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
 from .nuisance import SWITCHED
-from .system import NoiseByRole, Solution, Whitener, solve
+from .system import NoiseByRole, Solution, Stack, Whitener, solve
 
 __all__ = ["PlainNoise", "first_noise", "measured_noise", "plain_noise", "with_repeats"]
 
@@ -78,9 +78,9 @@ class PlainNoise:
 def plain_noise(evidence: CampaignEvidence, plain: Sequence[Column], angular_gain: float) -> PlainNoise:
     """Noise beside the nuisances ``plain`` alone, least where nothing was commanded to change, and the drive gains."""
     whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
-    noise, solution = _iterated(evidence, plain, whole, quiet, {})
+    noise, solution = _iterated(evidence, Stack(tuple(plain)), whole, quiet, {})
     floor = {key: law.floor(_FLOOR) for key, law in noise.items()}
-    steady = _steady(evidence, solution, noise, quiet)
+    steady = _steady(evidence, Stack(tuple(plain)), solution, noise, quiet)
     parents = {r.role: r.parent_role for r in evidence}
     for role, channel in noise:
         if (law := steady.get((parents.get(role, role), channel))) is not None:
@@ -107,28 +107,29 @@ def measured_noise(
     if plain is not None:
         floor = dict(plain.floor)
         saturated, target, quiet = _held(saturated, plain.gains, whole, quiet)
-    noise, _ = _iterated(evidence, saturated, target, quiet, floor)
+    stack = Stack(tuple(saturated))
+    noise, _ = _iterated(evidence, stack, target, quiet, floor)
     noise = with_repeats(evidence, saturated, noise, {}, target)
-    noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, saturated, noise, target), noise)
+    noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, stack, noise, target), noise)
     return noise, _with_table(evidence, of_rate, noise, excess, whole)
 
 
 def _iterated(
     evidence: CampaignEvidence,
-    columns: Sequence[Column],
+    stack: Stack,
     target: Sequence[ComplexArray],
     quiet: Sequence[ComplexArray],
     floor: Mapping[Key, NoiseLaw],
 ) -> tuple[NoiseByRole, Solution]:
     """Noise that a model leaves, and its fit with that noise; nowhere below a floor."""
-    solution = _solved(evidence, columns, first_noise(evidence), target)
+    solution = _solved(evidence, stack, first_noise(evidence), target)
     noise: NoiseByRole = first_noise(evidence)
     for k in range(_TAMED_ROUNDS + _ROUNDS):
-        noise = _from_residuals(evidence, solution, noise, quiet)
+        noise = _from_residuals(evidence, stack, solution, noise, quiet)
         noise = {key: law.not_below(floor[key]) if key in floor else law for key, law in noise.items()}
         if k < _TAMED_ROUNDS:
             noise = _tamed(noise, {r.role for r in evidence if r.is_wave})
-        solution = _solved(evidence, columns, noise, target)
+        solution = _solved(evidence, stack, noise, target)
     return noise, solution
 
 
@@ -161,10 +162,10 @@ def _with_table(
 
 
 def _solved(
-    evidence: CampaignEvidence, columns: Sequence[Column], noise: NoiseByRole, target: Sequence[ComplexArray], excess: Excess | None = None
+    evidence: CampaignEvidence, stack: Stack, noise: NoiseByRole, target: Sequence[ComplexArray], excess: Excess | None = None
 ) -> Solution:
     whitener = Whitener.of(evidence, noise, excess)
-    return solve(columns, whitener.design(columns, len(evidence)), whitener.rows(target))
+    return solve(stack.columns, whitener.rows(stack.signal), whitener.rows(target))
 
 
 def _parts(evidence: CampaignEvidence) -> Iterator[tuple[int, RecordingEvidence, int, int, str, slice]]:
@@ -187,6 +188,7 @@ def _parts(evidence: CampaignEvidence) -> Iterator[tuple[int, RecordingEvidence,
 
 def _squares(
     evidence: CampaignEvidence,
+    stack: Stack,
     solution: Solution,
     noise: NoiseByRole,
     quiet: Sequence[ComplexArray],
@@ -196,7 +198,7 @@ def _squares(
     basis: Bases = defaultdict(list)
     squares: Bases = defaultdict(list)
     freedom = np.clip(1.0 - np.sum(solution.basis**2, axis=1), 1e-9, 1.0)
-    left = [q - np.stack([c.quiet[k] for c in solution.columns], axis=1) @ solution.values for k, q in enumerate(quiet)]
+    left = [q - columns @ solution.values for q, columns in zip(quiet, stack.quiet, strict=True)]
     for k, r, part, side, channel, rows in _parts(evidence):
         if not wanted(r):
             continue
@@ -214,8 +216,10 @@ def _squares(
     return basis, squares
 
 
-def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]) -> NoiseByRole:
-    basis, squares = _squares(evidence, solution, noise, quiet)
+def _from_residuals(
+    evidence: CampaignEvidence, stack: Stack, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]
+) -> NoiseByRole:
+    basis, squares = _squares(evidence, stack, solution, noise, quiet)
     # an open drive is as steady as its generator, and where its resonance lay is a nuisance of its own: what is slow there is no noise
     waves = {r.role for r in evidence if r.is_wave}
     steady = {r.noise_key(channel) for r in evidence if r.role not in waves for channel in CHANNELS}
@@ -231,9 +235,11 @@ def _from_residuals(evidence: CampaignEvidence, solution: Solution, noise: Noise
     return out
 
 
-def _steady(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]) -> dict[Key, NoiseLaw]:
+def _steady(
+    evidence: CampaignEvidence, stack: Stack, solution: Solution, noise: NoiseByRole, quiet: Sequence[ComplexArray]
+) -> dict[Key, NoiseLaw]:
     """Noise of recordings in which nothing is commanded to change, beside their means."""
-    basis, squares = _squares(evidence, solution, noise, quiet, _is_steady)
+    basis, squares = _squares(evidence, stack, solution, noise, quiet, _is_steady)
     return {
         key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]))
         for key in basis
@@ -278,8 +284,9 @@ def with_repeats(
     target : sequence of ndarray, complex
         Left-hand sides by recording.
     """
+    stack = Stack(tuple(columns))
     for _ in range(_REPEAT_ROUNDS):
-        found = _repeated(evidence, _solved(evidence, columns, noise, target, excess), noise)
+        found = _repeated(evidence, _solved(evidence, stack, noise, target, excess), noise)
         weight = sum(free / density**2 for _, free, density in found.values())
         if sum(free for _, free, _ in found.values()) < _FEWEST_REPEATS or weight == 0.0:
             return noise

@@ -133,7 +133,7 @@ def _whittle(basis: FloatArray, squares: FloatArray) -> FloatArray:
     for _ in range(_MOST_ROUNDS):
         before = found
         found, _ = nnls(scaled / expected[:, None], squares / expected)
-        if np.allclose(found, before, rtol=_SETTLED, atol=_SETTLED * float(found.max(initial=0.0))):
+        if np.all(np.abs(found - before) <= _SETTLED * (before + found.max(initial=0.0))):
             break
         expected = np.maximum(scaled @ found, 1e-6 * float(squares.mean()) + 1e-300)
     return np.asarray(found / size)

@@ -15,7 +15,7 @@ from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .linear_device import ROW_MOMENT, collected, span_k
-from .parts import Linear, Part, read_at_once
+from .parts import Linear, Part, read_at_once, turned
 from .signals import SMOOTH_S
 
 __all__ = [
@@ -170,8 +170,8 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
             for name, factor in (("gain", 1.0), ("phase", 1j))
             for axis, a in zip(np.eye(2), "xy", strict=True)
         ]
-        turned = r.signals.temperature_k[:, None] * np.stack([motion[:, 1], -motion[:, 0]], axis=1)
-        by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion), Part("rate_per_k", "flow", turned)])
+        across = -r.signals.temperature_k[:, None] * turned(motion)
+        by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion), Part("rate_per_k", "flow", across)])
     damping = abs(np.trace(linear.A).real) / 2.0
     sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
     sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)

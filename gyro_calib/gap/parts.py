@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .signals import Signals
 
-__all__ = ["SKEW", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once"]
+__all__ = ["SKEW", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -54,7 +54,7 @@ class Linear:
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """A x, with A at each row's resonance, damping and applied rate, shape (n, 2)."""
-        turning = self.angular_gain * s.rate_rad_s[:, None] * np.stack([-x[:, 1], x[:, 0]], axis=1)
+        turning = self.angular_gain * s.rate_rad_s[:, None] * turned(x)
         return np.asarray(x @ self.A.T + self.moved(s)[:, None] * x - turning)
 
     def resting(self, s: Signals, x: ComplexArray) -> ComplexArray:
@@ -102,6 +102,13 @@ class Form:
     parts: Callable[[Signals, Linear, Setting], list[Part]]
     settings: Callable[[list[Signals]], list[Setting]] = lambda signals: [{}]
     per_axis: str | None = None
+
+
+def turned(x: ComplexArray) -> ComplexArray:
+    """J x, a quarter turn of every row, shape (n, 2): what a rate does to the motion."""
+    out = np.empty_like(x)
+    out[:, 0], out[:, 1] = -x[:, 1], x[:, 0]
+    return out
 
 
 def read_at_once(parameter: str, s: Signals, d: Linear, f: Callable[[ComplexArray], ComplexArray]) -> Part:

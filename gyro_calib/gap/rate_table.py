@@ -12,14 +12,18 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_straight, is_turned
 from ..recording.recording import Recording
 from .columns import QUIET, SIGNAL, Column
 from .evidence import CampaignEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
+from .parts import turned
 
 __all__ = ["in_time", "rate_columns", "said_late", "shifted", "steps_of"]
+
+FloatArray = NDArray[np.float64]
 
 #: a table's clock, and its lag behind what was commanded [s]
 _CLOCK_S, _LAG_S = 1e-3, 2e-2
@@ -33,6 +37,10 @@ _UNTURNED = 3e-5
 _TOLD_S = 0.05
 #: reaction of the diagonal of A to rate over kappa
 _SKEWED_RATE = 0.05
+#: a step is what changes within so long [s]; a log of more of them is a course
+_STEP_S, _MOST_STEPS = 0.1, 12
+#: share of the fastest change below which a table stands still; what a step leaves over ``dOmega / 2 w``: kappa, and a phase nobody knows
+_STILL, _OF_PHASE = 1e-6, 0.5
 
 
 def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list[Column]:
@@ -61,7 +69,7 @@ def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list
             columns += collected(f"table_{place}", evidence, entry("jerk", a, b), _CLOCK_S)
             # what feeds through does not turn: -kappa Omega J (V - E u), of which the columns of E hold all but its dispersion
             columns += collected(f"rate_feed_{place}", evidence, entry("rate_drive", a, b), _UNTURNED if rate_known else FEEDTHROUGH)
-    return columns + _rounded_steps(evidence)
+    return columns + _rounded_steps(evidence) + _carrier_phases(evidence)
 
 
 def _rounded_steps(evidence: CampaignEvidence) -> list[Column]:
@@ -77,7 +85,7 @@ def _rounded_steps(evidence: CampaignEvidence) -> list[Column]:
             derivatives = [np.gradient(np.gradient(s.rate_rad_s, s.row_s), s.row_s)]
             while len(derivatives) < len(_MOMENTS):
                 derivatives.append(np.gradient(derivatives[-1], s.row_s))
-            turning = np.stack([-s.pick[:, 1], s.pick[:, 0]], axis=1)
+            turning = turned(s.pick)
             vectors.append(r.turn * place.projector(r).plain([d[:, None] * turning for d in derivatives]))
         sides.append(vectors)
     row_s = max(1.0 / r.recording.sample_rate_hz for r in evidence)
@@ -87,6 +95,39 @@ def _rounded_steps(evidence: CampaignEvidence) -> list[Column]:
         Column(f"table_{name}", tuple(v[:, k] for v in signal), tuple(v[:, k] for v in quiet), size_s ** (k + 2))
         for k, name in enumerate(_MOMENTS)
     ]
+
+
+def _carrier_phases(evidence: CampaignEvidence) -> list[Column]:
+    """What a step that takes less than a period leaves, by the carrier's phase phi at that moment: each step of each recording by itself.
+
+    Motion and velocity go on, but the velocity is ``i w p + p'``, and p' is another after the step. So p jumps by
+    ``-i (kappa dOmega / 2 w) (1 + e^{-2 i phi}) J p``, of which averaging holds the mean. A slower step leaves nothing.
+    """
+    columns = []
+    for r in evidence:
+        s = r.signals
+        for k, change in enumerate(_changes(s.rate_rad_s, s.row_s) if is_turned(r.recording) else ()):
+            jump = (change / (2.0 * s.omega0_rad_s))[:, None] * turned(s.pick)
+            held = [r.turn * place.projector(r).plain([jump])[:, 0] for place in (SIGNAL, QUIET)]
+            rest = [[np.zeros_like(p.lhs) for p in of_all] for of_all in ([e.signal for e in evidence], [e.quiet for e in evidence])]
+            for name, factor in (("re", 1.0), ("im", 1j)):
+                signal, quiet = (
+                    tuple(factor * mine if j == r.index else z for j, z in enumerate(zeros)) for mine, zeros in zip(held, rest, strict=True)
+                )
+                columns.append(Column(f"table_step_{r.index}_{k}_{name}", signal, quiet, _OF_PHASE))
+    return columns
+
+
+def _changes(rate: FloatArray, row_s: float) -> list[FloatArray]:
+    """How fast a rate changes [rad/s^2], step by step; nothing of a course that is none of steps."""
+    slope = np.gradient(rate, row_s)
+    moves = np.abs(slope) > _STILL * float(np.abs(slope).max(initial=0.0))
+    begins = np.flatnonzero(np.diff(np.concatenate([[False], moves]).astype(int)) == 1)
+    ends = np.flatnonzero(np.diff(np.concatenate([moves, [False]]).astype(int)) == -1)
+    if begins.size > _MOST_STEPS or np.any((ends - begins) * row_s > _STEP_S):
+        return []
+    place = np.arange(rate.size)
+    return [np.where((place >= first) & (place <= last), slope, 0.0) for first, last in zip(begins, ends, strict=True)]
 
 
 def steps_of(values: Mapping[str, float], angular_gain: float) -> tuple[dict[int, float], float]:

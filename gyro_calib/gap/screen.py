@@ -2,7 +2,8 @@
 
 For whitened columns S of an effect and the nuisances' orthonormal basis Q (their priors included as rows), S~ = (I - Q Q^T) S is what the
 nuisances cannot imitate, T = |U^T e|^2 with U = orth(S~) the chi-square it takes away, and with a Gaussian prior of the registry's typical
-sizes the evidence against none has the closed form ``ln B = b^T (F + L^-1)^-1 b / 2 - ln det(1 + L F) / 2``, b = S~^T e, F = S~^T S~.
+sizes the evidence against none has the closed form ``ln B = b^T (F + L^-1)^-1 b / 2 - ln det(1 + L F) / 2``, b = S~^T e, F = S~^T S~; no
+direction pays for more than a range of 300 standard deviations.
 """
 
 from __future__ import annotations
@@ -26,6 +27,9 @@ FloatArray = NDArray[np.float64]
 _ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
 #: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
 _PRICE = 3.4
+#: prior range over standard deviation beyond which a direction costs no more: the registry's typical sizes are those of all devices, and a
+#: hemisphere that tells a millionth of what rings have would have to show an effect twice as clearly as they
+_WIDEST = 300.0
 
 
 def worth(gain: float, directions: int, choices: int) -> float:
@@ -165,5 +169,6 @@ class Screener:
         variances, axes = np.linalg.eigh(told @ told.T)
         variances = np.maximum(variances, 0.0)
         shrunk = variances / (1.0 + variances) * (axes.T @ inside) ** 2
-        log_evidence = 0.5 * float(np.sum(shrunk - np.log1p(variances))) - math.log(candidate.choices)
+        priced = np.log1p(np.minimum(variances, _WIDEST**2))
+        log_evidence = 0.5 * float(np.sum(shrunk - priced)) - math.log(candidate.choices)
         return Screened(candidate, float(inside @ inside), max(int((variances > 1.0).sum()), 1), log_evidence, values, sd, absorbed, u)

@@ -203,9 +203,16 @@ class Projector:
 
     def plain(self, signals: Sequence[ComplexArray]) -> ComplexArray:
         """Projections of what is added to p'."""
-        flat = np.stack([part.ravel() for x in signals for part in (x.real, x.imag)])
-        return np.ascontiguousarray(self._plain @ flat.T).view(np.complex128)
+        return np.asarray((self._plain @ _side_by_side(signals).view(np.float64)).view(np.complex128))
 
     def through_flow(self, signals: Sequence[ComplexArray]) -> ComplexArray:
         """Projections of L[x]: what a change x of the pick-off's volts adds to the left of the slow flow."""
-        return np.asarray(self._through_flow @ np.stack([x.ravel() for x in signals]).T)
+        return np.asarray(self._through_flow @ _side_by_side(signals))
+
+
+def _side_by_side(signals: Sequence[ComplexArray]) -> ComplexArray:
+    """Signals of shape (n, 2) as the columns of one matrix: rows one after the other, x and y beside each other."""
+    out = np.empty((signals[0].size, len(signals)), dtype=np.complex128)
+    for k, x in enumerate(signals):
+        out[:, k] = x.reshape(-1)
+    return out

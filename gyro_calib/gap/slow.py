@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .columns import Column, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .parts import Linear, Part
+from .parts import Linear, Part, turned
 
 __all__ = ["drift_family", "slow_drifts"]
 
@@ -31,13 +31,13 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
     closed = complex(r.is_wave)
     unit = np.full((len(s.time_s), 2), closed)
     motion = s.pick - s.drive @ linear.E.T
-    turned: ComplexArray = closed * np.stack([motion[:, 1], -motion[:, 0]], axis=1)
+    across = -closed * turned(motion)
     axes: list[ComplexArray] = [np.array([1.0 + 0j, 0.0]), np.array([0.0 + 0j, 1.0])]
     parts = []
     for axis, name in zip(axes, "xy", strict=True):
         parts += [Part(f"stray{phase}.{name}", "drive", factor * unit * axis) for phase, factor in (("c", 1.0), ("s", 1j))]
         parts += [Part(f"{what}.{name}", "drive", factor * s.drive * axis) for what, factor in (("gain", 1.0 + 0j), ("phase", 1j))]
-    return [*parts, Part("rate.z", "flow", turned), Part("damping.z", "flow", -motion)]
+    return [*parts, Part("rate.z", "flow", across), Part("damping.z", "flow", -motion)]
 
 
 def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:

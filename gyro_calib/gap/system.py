@@ -22,6 +22,23 @@ NoiseByRole = Mapping[tuple[str, str], NoiseLaw]
 
 
 @dataclass(frozen=True)
+class Stack:
+    """Columns side by side, a matrix for each recording: made once where the same columns are fitted at many noises."""
+
+    columns: tuple[Column, ...]
+
+    @cached_property
+    def signal(self) -> list[ComplexArray]:
+        """At the signal's lines, shape (m, k) each."""
+        return [np.stack(of_all, axis=1) for of_all in zip(*(c.signal for c in self.columns), strict=True)]
+
+    @cached_property
+    def quiet(self) -> list[ComplexArray]:
+        """At quiet lines."""
+        return [np.stack(of_all, axis=1) for of_all in zip(*(c.quiet for c in self.columns), strict=True)]
+
+
+@dataclass(frozen=True)
 class Whitener:
     """Turns complex equations into real ones of unit noise: by recording the real parts, then the imaginary ones, along then across."""
 
