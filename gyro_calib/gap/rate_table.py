@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects, label
 
 from ..recording.applied_rate import is_straight, is_turned
 from ..recording.recording import Recording
@@ -108,12 +109,15 @@ def _carrier_phases(evidence: CampaignEvidence) -> list[Column]:
         s = r.signals
         for k, change in enumerate(_changes(s.rate_rad_s, s.row_s) if is_turned(r.recording) else ()):
             jump = (change / (2.0 * s.omega0_rad_s))[:, None] * turned(s.pick)
-            held = [r.turn * place.projector(r).plain([jump])[:, 0] for place in (SIGNAL, QUIET)]
-            rest = [[np.zeros_like(p.lhs) for p in of_all] for of_all in ([e.signal for e in evidence], [e.quiet for e in evidence])]
-            for name, factor in (("re", 1.0), ("im", 1j)):
-                signal, quiet = (
-                    tuple(factor * mine if j == r.index else z for j, z in enumerate(zeros)) for mine, zeros in zip(held, rest, strict=True)
+            alone = [
+                tuple(
+                    r.turn * place.projector(r).plain([jump])[:, 0] if e is r else np.zeros_like(lhs)
+                    for e, lhs in zip(evidence, of_all, strict=True)
                 )
+                for place, of_all in ((SIGNAL, [e.signal.lhs for e in evidence]), (QUIET, [e.quiet.lhs for e in evidence]))
+            ]
+            for name, factor in (("re", 1.0), ("im", 1j)):
+                signal, quiet = (tuple(factor * v for v in side) for side in alone)
                 columns.append(Column(f"table_step_{r.index}_{k}_{name}", signal, quiet, _OF_PHASE))
     return columns
 
@@ -122,12 +126,11 @@ def _changes(rate: FloatArray, row_s: float) -> list[FloatArray]:
     """How fast a rate changes [rad/s^2], step by step; nothing of a course that is none of steps."""
     slope = np.gradient(rate, row_s)
     moves = np.abs(slope) > _STILL * float(np.abs(slope).max(initial=0.0))
-    begins = np.flatnonzero(np.diff(np.concatenate([[False], moves]).astype(int)) == 1)
-    ends = np.flatnonzero(np.diff(np.concatenate([moves, [False]]).astype(int)) == -1)
-    if begins.size > _MOST_STEPS or np.any((ends - begins) * row_s > _STEP_S):
+    steps = [place for (place,) in find_objects(label(moves)[0])]
+    if len(steps) > _MOST_STEPS or any((place.stop - place.start) * row_s > _STEP_S for place in steps):
         return []
-    place = np.arange(rate.size)
-    return [np.where((place >= first) & (place <= last), slope, 0.0) for first, last in zip(begins, ends, strict=True)]
+    rows = np.arange(rate.size)
+    return [np.where((rows >= place.start) & (rows < place.stop), slope, 0.0) for place in steps]
 
 
 def steps_of(values: Mapping[str, float], angular_gain: float) -> tuple[dict[int, float], float]:

@@ -44,6 +44,8 @@ _PAIRED = 8
 _SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
 #: a lag of the thermometer that is long against a ramp [s]
 _BENDING_LAG_S = 0.5
+#: log evidence that turned recordings may add to an effect that has nothing to do with rate and stands at the margin
+_TURNED = 1.0
 #: a level that is tried as what it is must leave this much less than what was selected
 _EXACT_IS_BETTER = 0.5
 
@@ -117,11 +119,11 @@ def _stands(found: Screened, louder: float) -> bool:
 
 
 def seen_at_rest(model: CampaignModel, effects: Sequence[Screened], found: Screened) -> bool:
-    """Whether an effect that has nothing to do with rate counts without the recordings that were turned."""
+    """Whether an effect that has nothing to do with rate counts without the recordings that were turned, or they hardly tell of it."""
     if "rate" in EFFECTS[found.name].needs:
         return True
     still = model.at_rest(found, [e.candidate for e in effects if e is not found])
-    return still is not None and still.log_evidence > MARGIN
+    return still is not None and still.log_evidence > min(MARGIN, found.log_evidence - _TURNED)
 
 
 def select_effects(model: CampaignModel) -> Selection:
