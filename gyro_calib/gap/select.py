@@ -19,7 +19,19 @@ from .model import CampaignModel
 from .relinearise import relinearised
 from .saturated import with_twins
 from .screen import Candidate, Screened, Screener
-from .strangers import BANK_MARGIN, LEAST_GAIN, LEFT_SHARE, LEFT_SIGMA, MARGIN, Stranger, own_directions, stranger, unnamed_counts, worth_of
+from .strangers import (
+    BANK_MARGIN,
+    LEAST_GAIN,
+    LEFT_SHARE,
+    LEFT_SIGMA,
+    MARGIN,
+    Stranger,
+    bank_terms,
+    own_directions,
+    stranger,
+    unnamed_counts,
+    worth_of,
+)
 
 __all__ = ["Selection", "seen_at_rest", "select_effects"]
 
@@ -167,7 +179,7 @@ def _named_all_the_same(
     but it has the name.
     """
     screener = model.screener_with(chosen)
-    best = max((s for _, c in model.bank if (s := screener.screen(c)) is not None), key=worth_of, default=None)
+    best = max((s for s, _ in bank_terms(model, screener)), key=worth_of, default=None)
     if best is None or not unnamed_counts(best, effects) or len(chosen) >= _MOST_EFFECTS:
         return chosen, effects
     taken = with_twins(c.name for c in chosen)

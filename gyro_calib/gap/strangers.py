@@ -19,6 +19,7 @@ __all__ = [
     "LEFT_SIGMA",
     "MARGIN",
     "Stranger",
+    "bank_terms",
     "own_directions",
     "stranger",
     "unnamed_counts",
@@ -33,7 +34,7 @@ LEFT_SHARE, LEFT_SIGMA = 0.04, 6.0
 BANK_MARGIN = 7.0
 #: how much better an anonymous term must be than the registry
 _BETTER = 12.0
-#: and courses of time beyond those: a 1/f floor swings like one, up to a log evidence of 13 in 24 healthy campaigns
+#: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 18 in some forty healthy campaigns
 _COURSE_MARGIN = 10.0
 
 
@@ -89,10 +90,19 @@ def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Scre
 
 
 def _unnamed(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
-    """Unnamed terms beside what a screener holds; of the courses of time the best, if it is no 1/f floor."""
+    """Unnamed terms beside what a screener holds, and of the courses of time the best."""
+    found, course = bank_terms(model, screener), model.courses.best(screener, model.whitener)
+    return [*found, course] if course is not None and _is_no_floor(course[0]) else found
+
+
+def bank_terms(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
+    """Unnamed terms beside what a screener holds; those that go with time if they are no 1/f floor."""
     found = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
-    course = model.courses.best(screener, model.whitener)
-    return [*found, course] if course is not None and worth_of(course[0]) > MARGIN + BANK_MARGIN + _COURSE_MARGIN else found
+    return [(s, a) for s, a in found if a.depends_on != "time" or _is_no_floor(s)]
+
+
+def _is_no_floor(found: Screened) -> bool:
+    return worth_of(found) > MARGIN + BANK_MARGIN + _COURSE_MARGIN
 
 
 def worth_of(found: Screened, directions: int | None = None) -> float:
