@@ -21,6 +21,7 @@ from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import with_temperature
+from gyro_calib.gap.strangers import bank_terms, worth_of
 from gyro_calib.gap.system import NoiseByRole, Whitener, solve
 from gyro_calib.gap.thermometer import thermometer_columns
 from gyro_calib.recording.columns import column_index
@@ -55,6 +56,17 @@ def with_reading_gain(gain: Callable[[Recording, float], np.ndarray]) -> Campaig
 def model_of(campaign: Campaign) -> CampaignModel:
     f = campaign.factory
     return look_at(usable(campaign), np.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+
+
+def test_what_grows_with_time_must_beat_a_floor_as_courses_do() -> None:
+    """A reading whose gain drifts by 1e-5 is a floor's, by 3e-3 it is none; what does not go with time competes either way."""
+    for drift, counts in ((1e-5, False), (3e-3, True)):
+        model = model_of(with_reading_gain(lambda r, start, most=drift: most * (r.t - start) / 300.0))  # type: ignore[misc]
+        terms = bank_terms(model, model.screener)
+        of_time = [found for found, term in terms if term.depends_on == "time"]
+        assert bool(of_time) == counts
+        assert all(worth_of(found) > 25.0 for found in of_time)
+        assert any(worth_of(found) < 25.0 for found, term in terms if term.depends_on != "time")
 
 
 def test_a_reading_that_swings_is_unknown_with_its_period() -> None:
