@@ -28,7 +28,7 @@ _ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
 #: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
 _PRICE = 3.4
 #: prior range over standard deviation beyond which a direction costs no more: the registry's typical sizes are those of all devices, and a
-#: hemisphere that tells a millionth of what rings have would have to show an effect twice as clearly as they
+#: hemisphere that tells a millionth of what rings have would need a chi-square of 45 where 28 tells the effect from none
 _WIDEST = 300.0
 
 
