@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gyro_calib.device import draw_unit, load_device
+from gyro_calib.device import Device, draw_unit, load_device
+from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
 from gyro_calib.gap.evidence import CampaignEvidence
@@ -19,9 +20,10 @@ from gyro_calib.gap.noise import _repeated, with_repeats
 from gyro_calib.gap.nuisance import following_columns, thermal_columns
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import with_temperature
-from gyro_calib.gap.strangers import bank_terms, worth_of
+from gyro_calib.gap.strangers import CHANGES, bank_terms, one_change_of_another_kind, worth_of
 from gyro_calib.gap.system import NoiseByRole, Whitener, solve
 from gyro_calib.gap.thermometer import thermometer_columns
 from gyro_calib.recording.columns import column_index
@@ -32,8 +34,16 @@ PERIOD_S = 33.0
 
 
 @cache
+def unit() -> Device:
+    return draw_unit(load_device("ring_15k"), 5)
+
+
+@cache
 def clean() -> Campaign:
-    device = draw_unit(load_device("ring_15k"), 5)
+    return campaign_of(unit())
+
+
+def campaign_of(device: Device) -> Campaign:
     return run_plan(
         SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(8), fidelity="carrier"), 2e-5),
         gap_ftr_plan(device.factory(), quality="quick"),
@@ -97,6 +107,23 @@ def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() ->
     assert select_effects(model).stranger is not None
 
 
+def test_a_split_that_steps_between_recordings_is_dynamics_in_quadrature() -> None:
+    """Recordings of two units that differ by 1 mHz of split, the ones before a moment and the others after it."""
+    resonator = replace(unit().resonator, frequency_split_hz=unit().resonator.frequency_split_hz + 1e-3)
+    other = campaign_of(replace(unit(), resonator=resonator))
+    ordered = sorted(clean(), key=lambda r: float(r.t[0]))
+    moment = float(ordered[len(ordered) // 2].t[0])
+    changed = tuple(b if float(a.t[0]) >= moment else a for a, b in zip(clean(), other, strict=True))
+    model = model_of(replace(clean(), recordings=changed))
+    found = model.courses.best(model.screener, model.whitener)
+    assert found is not None
+    assert (found[1].location, found[1].phase, found[1].depends_on) == ("dynamics", "in quadrature", "time")
+    form, _, said = found[1].form.rpartition(" from ")
+    assert (form, said.split(" s on")[1]) == ("x times what is another", ", other on each axis or crossed")
+    assert float(said.split()[0]) == pytest.approx(moment - float(ordered[0].t[0]), abs=3.0)
+    assert select_effects(model).stranger is not None
+
+
 def test_a_reading_that_is_another_in_every_recording_is_noise() -> None:
     """Of their means: that is where repeats differ, and no model of the device says by how much."""
     rng = np.random.default_rng(3)
@@ -113,6 +140,22 @@ def test_a_reading_that_is_another_in_every_recording_is_noise() -> None:
     heard = with_repeats(model.evidence, model.nuisances, steady, model.excess, model.target)
     assert repeats_over_noise(steady) > 3.0
     assert repeats_over_noise(heard) < 1.5
+
+
+def test_three_changes_of_one_property_are_one_of_another_kind() -> None:
+    """Two may be a pair; hysteresis took a drift, a lag and a charge for itself."""
+
+    def found(*names: str) -> list[Screened]:
+        nothing = np.zeros(0)
+        return [Screened(Candidate(n, {}, (), nothing), 50.0, 1, 20.0, nothing, nothing, 0.0, nothing) for n in names]
+
+    assert one_change_of_another_kind(found("split_drift", "thermal_split_lag", "charge_accumulation"))
+    assert not one_change_of_another_kind(found("split_drift", "thermal_split_lag", "damping_drift"))
+    assert not one_change_of_another_kind(found("split_drift", "split_drift", "thermal_split"))
+
+
+def test_the_names_of_one_property_s_changes_are_the_registry_s() -> None:
+    assert all(name in EFFECTS for changes in CHANGES for name in changes)
 
 
 def test_a_healthy_floor_is_no_course() -> None:

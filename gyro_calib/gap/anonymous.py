@@ -25,6 +25,7 @@ __all__ = ["Anonymous", "anonymous_candidates"]
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Monomial = Callable[[Signals, ComplexArray], ComplexArray]
+Factor = Callable[[Signals], FloatArray | ComplexArray]
 #: where a term enters, as it is told to people
 LOCATIONS: dict[Kind, str] = {"flow": "dynamics", "drive": "drive", "output": "pick-off"}
 
@@ -70,6 +71,26 @@ def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
     return lambda s, x: f(s)[:, None] * x
 
 
+def _each(*factors: Factor) -> list[Monomial]:
+    """Factors, each of shape (n, 1), times the signal of one axis and of the other."""
+    return [lambda s, x, f=f, k=k: f(s) * _axis(x, k) for f in factors for k in range(2)]  # type: ignore[misc]
+
+
+def _crossed(*factors: Factor) -> list[Monomial]:
+    """Factors times the signal of the other axis."""
+    return [lambda s, x, f=f, k=k: f(s) * _axis(x[:, ::-1], k) for f in factors for k in range(2)]  # type: ignore[misc]
+
+
+def _shaped(text: str, depends: str, *factors: Factor) -> dict[tuple[str, str], list[Monomial]]:
+    """Factors times the signal, alike on both axes, other on each, and across."""
+    alike: list[Monomial] = [lambda s, x, f=f: f(s) * x for f in factors]  # type: ignore[misc]
+    return {
+        (text, depends): alike,
+        (f"{text}, other on each axis", depends): _each(*factors),
+        (f"{text}, crossed", depends): _crossed(*factors),
+    }
+
+
 def _in_step(x: ComplexArray) -> FloatArray:
     """Mean of the product of both axes over a cycle, twice."""
     return np.asarray((x[:, 0] * x[:, 1].conj()).real)
@@ -113,42 +134,15 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x|^4 x", "amplitude"): [lambda s, x: _norm(x) ** 4 * x],
     ("x/|x|", "amplitude"): [lambda s, x: x / (_norm(x) + 1e-9)],
     ("x*", "phase reference"): [lambda s, x: x.conj()],
-    ("T x", "temperature"): [_by(lambda s: s.temperature_k)],
-    ("T x, other on each axis", "temperature"): [
-        lambda s, x: s.temperature_k[:, None] * _axis(x, 0),
-        lambda s, x: s.temperature_k[:, None] * _axis(x, 1),
-    ],
-    ("T x, crossed", "temperature"): [
-        lambda s, x: s.temperature_k[:, None] * _axis(x[:, ::-1], 0),
-        lambda s, x: s.temperature_k[:, None] * _axis(x[:, ::-1], 1),
-    ],
+    **_shaped("T x", "temperature", lambda s: s.temperature_k[:, None]),
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
     ("dT/dt x", "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
-    (_LATE, "temperature"): [lambda s, x: behind(s, _LATE_S) * x],
-    (f"{_LATE}, other on each axis", "temperature"): [
-        lambda s, x: behind(s, _LATE_S) * _axis(x, 0),
-        lambda s, x: behind(s, _LATE_S) * _axis(x, 1),
-    ],
-    (f"{_LATE}, crossed", "temperature"): [
-        lambda s, x: behind(s, _LATE_S) * _axis(x[:, ::-1], 0),
-        lambda s, x: behind(s, _LATE_S) * _axis(x[:, ::-1], 1),
-    ],
-    ("t x", "time"): [_by(lambda s: s.time_s)],
-    ("t x, other on each axis", "time"): [lambda s, x: s.time_s[:, None] * _axis(x, 0), lambda s, x: s.time_s[:, None] * _axis(x, 1)],
-    ("t x, crossed", "time"): [
-        lambda s, x: s.time_s[:, None] * _axis(x[:, ::-1], 0),
-        lambda s, x: s.time_s[:, None] * _axis(x[:, ::-1], 1),
-    ],
+    **_shaped(_LATE, "temperature", lambda s: behind(s, _LATE_S)),
+    **_shaped("t x", "time", lambda s: s.time_s[:, None]),
     ("Omega x", "rate"): [_by(lambda s: s.rate_rad_s)],
-    ("Omega x, crossed", "rate"): [
-        lambda s, x: s.rate_rad_s[:, None] * _axis(x[:, ::-1], 0),
-        lambda s, x: s.rate_rad_s[:, None] * _axis(x[:, ::-1], 1),
-    ],
+    ("Omega x, crossed", "rate"): _crossed(lambda s: s.rate_rad_s[:, None]),
     ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
-    ("Omega^2 x, crossed", "rate"): [
-        lambda s, x: (s.rate_rad_s**2)[:, None] * _axis(x[:, ::-1], 0),
-        lambda s, x: (s.rate_rad_s**2)[:, None] * _axis(x[:, ::-1], 1),
-    ],
+    ("Omega^2 x, crossed", "rate"): _crossed(lambda s: (s.rate_rad_s**2)[:, None]),
     ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
     ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],
     ("x of 0.1 s before", "speed of change"): [lambda s, x: _late(s, x, 0.1)],
@@ -160,8 +154,8 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ],
     ("a constant, also in open drive", "reference"): [lambda s, x: _axis(np.ones_like(x), 0), lambda s, x: _axis(np.ones_like(x), 1)],
     ("|u|^2 x, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * x],
-    ("|u of 3 s|^2 x, u the drives", "drive's power"): [lambda s, x: _norm(s.drive) ** 2 * x, lambda s, x: _warmed(s, 3.0) * x],
-    ("|u of 15 s|^2 x, u the drives", "drive's power"): [lambda s, x: _norm(s.drive) ** 2 * x, lambda s, x: _warmed(s, 15.0) * x],
+    **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 3.0)),
+    **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 15.0)),
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
     ("|p_j|^2 x_j, p the motion", "amplitude"): [
         lambda s, x: _axis(_by_motion(s.pick, x), 0),

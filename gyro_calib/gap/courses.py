@@ -34,10 +34,13 @@ _SHORTEST_S, _FINER, _LONGEST = 15.0, 0.5, 0.5
 _SETTLING_S = (2.0, 5.0, 15.0)
 #: size of an unnamed course over the gain or the damping that it changes, sd: one of order one would wipe out an axis that holds but noise
 _SIZE = 0.01
-#: where and in which phase: two unknowns of an axis each, or one of both
+#: where, in which phase, and of what shape, each an unknown: of an axis, of both alike, of what makes one axis unlike the other
+_AXES, _ALIKE, _SPLIT = (np.diag([1.0, 0.0]), np.diag([0.0, 1.0])), (np.eye(2),), (np.diag([1.0, -1.0]), np.eye(2)[::-1])
 _PLACES = (
-    *((location, phase) for location in ("drive", "pick-off") for phase in ("in phase", "in quadrature")),
-    ("dynamics", "in phase"),
+    *((location, phase, _AXES) for location in ("drive", "pick-off") for phase in ("in phase", "in quadrature")),
+    ("dynamics", "in phase", _ALIKE),
+    ("dynamics", "in phase", _SPLIT),
+    ("dynamics", "in quadrature", _SPLIT),
 )
 
 
@@ -49,7 +52,7 @@ class _Worth:
     gain: float
     rank: int
     course: int
-    place: tuple[str, str]
+    place: int
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,8 @@ class Courses:
     ----------
     base : tuple of Column
         Of every place, axis and polynomial.
-    names : tuple of (str, str)
-        Location and phase of each base column.
+    places : tuple of int
+        Place of each base column: location, phase and shape.
     forms : tuple of (str, int)
         Courses, and how many of the kind were tried.
     weights : ndarray, shape (functions, recordings, 3)
@@ -79,7 +82,7 @@ class Courses:
     """
 
     base: tuple[Column, ...]
-    names: tuple[tuple[str, str], ...]
+    places: tuple[int, ...]
     forms: tuple[tuple[str, int], ...]
     weights: FloatArray
     of_course: NDArray[np.intp]
@@ -92,14 +95,16 @@ class Courses:
         found = screener.screen(self._candidate(best.course, best.place))
         if found is None:
             return None
-        return replace(found, gain=best.gain, rank=best.rank), Anonymous(*best.place, self.forms[best.course][0], "time")
+        location, phase, shape = _PLACES[best.place]
+        form = self.forms[best.course][0] + (", other on each axis or crossed" if shape is _SPLIT else "")
+        return replace(found, gain=best.gain, rank=best.rank), Anonymous(location, phase, form, "time")
 
     def _worths(self, screener: Screener, whitener: Whitener) -> Iterator[_Worth]:
         """Every course of every place that may be larger than the noise."""
         rows = whitener.design(self.base, self.weights.shape[1])
         recording = np.repeat(np.arange(self.weights.shape[1]), [2 * v.size for v in self.base[0].signal])
-        for place in dict.fromkeys(self.names):
-            block = rows[:, [k for k, name in enumerate(self.names) if name == place]].reshape(len(rows), -1, _MOMENTS)
+        for place in dict.fromkeys(self.places):
+            block = rows[:, [k for k, other in enumerate(self.places) if other == place]].reshape(len(rows), -1, _MOMENTS)
             # rows, functions, axes
             made = np.einsum("rfm,ram->rfa", self.weights.transpose(1, 0, 2)[recording], block)
             clean = screener.cleaned(made.reshape(len(rows), -1)).reshape(-1, *made.shape[1:])
@@ -109,9 +114,9 @@ class Courses:
                 if rank:
                     yield _Worth(worth(gain, rank, choices), gain, rank, k, place)
 
-    def _candidate(self, course: int, place: tuple[str, str]) -> Candidate:
+    def _candidate(self, course: int, place: int) -> Candidate:
         """A course as an effect."""
-        base = [column for column, name in zip(self.base, self.names, strict=True) if name == place]
+        base = [column for column, other in zip(self.base, self.places, strict=True) if other == place]
         columns: list[Column] = []
         for f in np.flatnonzero(self.of_course == course):
             for first in range(0, len(base), _MOMENTS):
@@ -121,7 +126,7 @@ class Courses:
                 )
                 columns.append(Column(f"c_{len(columns)}", signal, quiet))
         form, choices = self.forms[course]
-        return Candidate(f"{place[0]} {form}", {}, tuple(columns), np.full(len(columns), _SIZE), choices)
+        return Candidate(f"{_PLACES[place][0]} {form}", {}, tuple(columns), np.full(len(columns), _SIZE), choices)
 
 
 def _sides(columns: Sequence[Column]) -> tuple[list[ComplexArray], list[ComplexArray]]:
@@ -137,27 +142,27 @@ def courses_of(evidence: CampaignEvidence, linear: Linear) -> Courses:
     functions = [function for course in courses for function in course.functions]
     weights = np.stack([_moments(r.signals, functions) for r in evidence], axis=1)
     of_course = np.repeat(np.arange(len(courses)), [len(course.functions) for course in courses])
-    names = tuple(_PLACES[int(c.name.split(".")[0])] for c in base)
+    places = tuple(int(c.name.split(".")[0]) for c in base)
     forms = tuple((c.form, c.choices) for c in courses)
-    return Courses(tuple(base), names, forms, weights, of_course)
+    return Courses(tuple(base), places, forms, weights, of_course)
 
 
 def _parts(s: Signals, d: Linear) -> list[Part]:
     motion = s.pick - s.drive @ d.E.T
     decay = 0.5 * abs(float(np.trace(d.A).real))
     parts = []
-    for k, (location, phase) in enumerate(_PLACES):
+    for k, (location, phase, shape) in enumerate(_PLACES):
         factor = 1.0 + 0j if phase == "in phase" else 1j
-        for axis in range(1 if location == "dynamics" else 2):
+        for j, matrix in enumerate(shape):
             for m in range(_MOMENTS):
                 w = factor * _polynomial(s, m)[:, None]
-                name = f"{k}.{axis}.{m}"
+                name = f"{k}.{j}.{m}"
                 if location == "dynamics":
-                    parts.append(Part(name, "flow", -decay * w * motion))
+                    parts.append(Part(name, "flow", -decay * w * (motion @ matrix)))
                 elif location == "drive":
-                    parts.append(Part(name, "drive", w * s.drive * np.eye(2)[axis]))
+                    parts.append(Part(name, "drive", w * (s.drive @ matrix)))
                 else:
-                    parts.append(read_at_once(name, s, d, lambda v, w=w, axis=axis: w * v * np.eye(2)[axis]))  # type: ignore[misc]
+                    parts.append(read_at_once(name, s, d, lambda v, w=w, matrix=matrix: w * (v @ matrix)))  # type: ignore[misc]
     return parts
 
 

@@ -14,12 +14,14 @@ from .screen import Candidate, Screened, Screener, worth
 
 __all__ = [
     "BANK_MARGIN",
+    "CHANGES",
     "LEAST_GAIN",
     "LEFT_SHARE",
     "LEFT_SIGMA",
     "MARGIN",
     "Stranger",
     "bank_terms",
+    "one_change_of_another_kind",
     "own_directions",
     "stranger",
     "unnamed_counts",
@@ -36,6 +38,16 @@ BANK_MARGIN = 7.0
 _BETTER = 12.0
 #: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 13 in 24 healthy campaigns, 18 in another
 _COURSE_MARGIN = 10.0
+
+#: properties and their changes with time and temperature that the registry knows: a device has one of them or two, not three
+CHANGES = (
+    {"split_drift", "charge_accumulation", "thermal_split", "thermal_split_lag"},
+    {"damping_drift", "thermal_damping", "thermal_damping_lag"},
+    {"frequency_ageing", "thermal_frequency_curvature", "thermal_lag"},
+    {"drive_gain_drift", "thermal_drive_gain", "thermal_drive_gain_lag"},
+    {"pickoff_gain_drift", "thermal_pickoff_gain", "thermal_pickoff_gain_lag"},
+)
+_TOO_MANY = 3
 
 
 @dataclass(frozen=True)
@@ -76,11 +88,17 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
             return Stranger(term, best, nearest)
         if chosen:
             alone = max(_unnamed(model, model.screener), key=lambda pair: worth_of(pair[0]), default=None)
-            if alone is not None and worth_of(alone[0]) > _set_worth(model, chosen) + _BETTER:
+            if alone is not None and (worth_of(alone[0]) > _set_worth(model, chosen) + _BETTER or one_change_of_another_kind(effects)):
                 return Stranger(alone[1], alone[0], nearest)
         if significant > LEFT_SIGMA and share > LEFT_SHARE:
             return Stranger(term, best, nearest)
     return None
+
+
+def one_change_of_another_kind(effects: Sequence[Screened]) -> bool:
+    """Whether so many effects say how one property changes that it changes in a way that none of them is: hysteresis took three."""
+    names = {e.name for e in effects}
+    return any(len(names & changes) >= _TOO_MANY for changes in CHANGES)
 
 
 def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Screened, term: Anonymous) -> bool:
