@@ -39,6 +39,17 @@ def test_a_switched_drive_does_not_fold_into_the_lines() -> None:
     assert np.abs(left).max() / ROW_HZ < 0.3 * NOISE
 
 
+def test_a_falling_wave_by_parts_is_itself() -> None:
+    """Over 3.7 s of rows of 8 ms; with ends of lower order it left 6e-7 of the wave, a memory of 50 ms in other hemispheres."""
+    row_s, decay = 0.008, 0.5
+    t = np.arange(465) * row_s
+    wave = np.exp(-decay * t)
+    functions = lines_of_test(t, row_s, [k / (t.size * row_s) for k in range(5)])
+    first, second = spectral_derivatives(functions.value, row_s)
+    assert np.abs(first @ wave - decay * functions.value @ wave).max() * row_s < 5e-8
+    assert np.abs(second @ wave - decay**2 * functions.value @ wave).max() * row_s < 2e-7
+
+
 def test_a_step_of_the_drive_kicks_the_wave_by_what_turns_at_twice_the_carrier() -> None:
     """An oscillator from rest, a drive that begins at one phase or another: beside G u t a jump of conj(G u) / 2 w, turned by -2 phase."""
     omega, gain, step = 2.0 * np.pi * 200.0, 3.0, 0.7
