@@ -13,6 +13,7 @@ from gyro_calib.device import Device, draw_unit, load_device
 from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
+from gyro_calib.gap.anonymous import anonymous_candidates
 from gyro_calib.gap.evidence import CampaignEvidence
 from gyro_calib.gap.linear_device import frequency_columns, linear_columns
 from gyro_calib.gap.model import CampaignModel, look_at
@@ -183,3 +184,18 @@ def test_a_thermometer_that_errs_moves_what_follows_the_temperature() -> None:
     assert {c.prior_sd for c in made.values()} == {1e-3}
     known = {c.name for c in [*linear_columns(evidence, linear), *frequency_columns(evidence), *thermal_columns(evidence, linear)]}
     assert not known & set(made)
+
+
+def test_what_both_axes_have_alike_is_what_each_has() -> None:
+    """A factor times x is the sum of the terms by axis, whatever it depends on; across, neither is it."""
+    evidence = CampaignEvidence.of(list(clean()), 1.5)
+    linear = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), dtype=complex), 0.8, -2.5)
+    terms = {(a.location, a.phase, a.form): c.columns for a, c in anonymous_candidates(evidence, linear)}
+    for form in ("T x", "(T - T of 20 s before) x", "t x", "|u of 3 s|^2 x, u the drives", "|u of 15 s|^2 x, u the drives"):
+        alike, each, crossed = (terms["drive", "in phase", f"{form}{shape}"] for shape in ("", ", other on each axis", ", crossed"))
+        assert len(each) == len(crossed) == 2 * len(alike)
+        for k, column in enumerate(alike):
+            for r in range(len(evidence)):
+                together = each[2 * k].signal[r] + each[2 * k + 1].signal[r]
+                np.testing.assert_allclose(together, column.signal[r], atol=1e-12 * max(np.abs(column.signal[r]).max(), 1e-300))
+        assert any(not np.allclose(a.signal[r], b.signal[r]) for a, b in zip(each, crossed, strict=True) for r in range(len(evidence)))
