@@ -65,7 +65,7 @@ def _window(n: int, row_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     t = (np.arange(n) + 0.5) * row_s
     w, d1, d2 = np.ones(n), np.zeros(n), np.zeros(n)
     for inside, x, sign in ((t < rise, t / rise, 1.0), (duration - t < rise, (duration - t) / rise, -1.0)):
-        value, slope, bend = step(x[inside])
+        value, slope, bend = step(np.asarray(x[inside], dtype=np.float64))
         w[inside], d1[inside], d2[inside] = value, sign * slope / rise, bend / rise**2
     return w, d1, d2
 

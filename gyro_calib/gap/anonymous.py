@@ -116,8 +116,9 @@ def _power(s: Signals) -> ComplexArray:
     return (_norm(s.drive) ** 2).astype(np.complex128)
 
 
-#: in the frequency of the motion it is a thermometer that lags, as every one does
+#: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
 _LATE, _LATE_S = "(T - T of 20 s before) x", 20.0
+_LATE_APART = f"{_LATE}, other on each axis"
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x", "amplitude"): [lambda s, x: _norm(x) * x],
@@ -192,6 +193,8 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
                 if (kind, phase, text) == ("flow", "in quadrature", _LATE):
                     continue
+                if (kind, phase, text) == ("flow", "in quadrature", _LATE_APART):
+                    monomials = [lambda s, x: behind(s, _LATE_S) * x * np.array([1.0, -1.0])]
                 forms.append((Anonymous(location, phase, text, depends), _form(kind, monomials, factor, at_once=depends in _AT_ONCE)))
     made = forms_columns(evidence, [(form, {}) for _, form in forms], linear)
     for (term, _), columns in zip(forms, made, strict=True):

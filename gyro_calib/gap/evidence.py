@@ -23,7 +23,7 @@ from .lines import lines_of
 from .noise_law import Lines
 from .signals import WARMING_K, Projector, Signals, smooth_temperature
 
-__all__ = ["CHANNELS", "CampaignEvidence", "RecordingEvidence"]
+__all__ = ["CHANNELS", "STEADY", "WARMING", "CampaignEvidence", "RecordingEvidence"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -33,6 +33,8 @@ CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
 THIN_HZ = 100.0
 #: effective frequency of a record's mean over one by its duration
 MEAN_LINE = 0.3
+#: keys of the noise of a wave's frequency, of which a temperature moves and of which none does
+STEADY, WARMING = ("wave", "frequency"), ("wave, warming", "frequency")
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class RecordingEvidence:
     def noise_key(self, channel: str) -> tuple[str, str]:
         """What shares its noise with this recording's channel: the frequency of a wave wanders alike in every mode, relative to it."""
         if channel == "frequency" and self.is_wave:
-            return ("wave, warming" if self.is_warming else "wave", channel)
+            return WARMING if self.is_warming else STEADY
         return (self.role, channel)
 
     def lines(self, channel: str, *, quiet: bool = False) -> Lines:

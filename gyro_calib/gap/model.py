@@ -202,15 +202,27 @@ def _weighed(
     family = _random_family(evidence)
     of_time = [*held, *columns_of_time(candidates), *effect_columns(strangers)]
     shares = _random_shares(evidence, family, [allowed, of_time], whitener, whitener.rows(target))
-    # what wanders is the temperature: its sensor errs in the same share
+    # what wanders is the temperature: its sensor errs in the same share; a part of it may stand in the noise of means
+    shares["wander"] = min(math.hypot(shares["shift"], _wander_of_means(evidence, noise) / most_rad_s), 1.0)
     sized = with_shares(
-        [*held, *slow_columns(evidence, linear, most_rad_s * shares["shift"])],
-        lambda c: "shift" if c.name.startswith(THERMOMETER) else family(c),
+        [*held, *slow_columns(evidence, linear, most_rad_s * shares["wander"])],
+        lambda c: "wander" if c.name.startswith(THERMOMETER) else family(c),
         shares,
     )
     # once the drifts have their size, repeats have the freedom to say how far a mean errs by itself
     noise = with_repeats(evidence, with_shares(allowed, family, shares), noise, excess, target)
     return Whitener.of(evidence, noise, excess), noise, excess, sized
+
+
+def _wander_of_means(evidence: CampaignEvidence, noise: NoiseByRole) -> float:
+    """How far the resonance wanders between records by the noise of their means, sd [rad/s]: what is slower than a record drifts."""
+    found = []
+    for r in evidence:
+        lines = r.lines("frequency")
+        if r.is_wave and not r.is_warming and lines.is_mean.any():
+            slow = noise[r.noise_key("frequency")].slow(lines)[lines.is_mean]
+            found.append(float(slow[0]) / (lines.scale * r.recording.duration_s))
+    return math.sqrt(float(np.median(found))) if found else 0.0
 
 
 def _random_shares(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_turned
 from .columns import Column
-from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
+from .evidence import CHANNELS, STEADY, WARMING, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
 from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
 from .nuisance import SWITCHED
@@ -109,9 +109,17 @@ def measured_noise(
         saturated, target, quiet = _held(saturated, plain.gains, whole, quiet)
     stack = Stack(tuple(saturated))
     noise, _ = _iterated(evidence, stack, target, quiet, floor)
-    noise = with_repeats(evidence, saturated, noise, {}, target)
+    noise = _wandering_all_the_same(with_repeats(evidence, saturated, noise, {}, target))
     noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, stack, noise, target), noise)
     return noise, _with_table(evidence, of_rate, noise, excess, whole)
+
+
+def _wandering_all_the_same(noise: NoiseByRole) -> NoiseByRole:
+    """A resonance that wanders does so while it is warmed, too: two or three such records, each with a swing of its own, do not tell."""
+    if STEADY not in noise or WARMING not in noise:
+        return noise
+    _, flicker, _, walk = noise[STEADY].coefficients
+    return {**noise, WARMING: noise[WARMING].not_below(NoiseLaw((0.0, flicker, 0.0, walk), noise[STEADY].mean))}
 
 
 def _iterated(

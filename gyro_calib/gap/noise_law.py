@@ -65,6 +65,11 @@ class NoiseLaw:
         """Density on each test function."""
         return np.asarray(lines.basis() @ np.array(self.coefficients) + self.mean * lines.scale * lines.is_mean)
 
+    def slow(self, lines: Lines) -> FloatArray:
+        """What of the density goes on from record to record: flicker, walk, and what means differ by."""
+        _, flicker, _, walk = self.coefficients
+        return replace(self, coefficients=(0.0, flicker, 0.0, walk)).density(lines)
+
     def times(self, factor: float) -> NoiseLaw:
         """The law of a noise that is so much larger in power."""
         white, flicker, pickoff, walk = (factor * c for c in self.coefficients)
