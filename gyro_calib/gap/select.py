@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from ..effects import EFFECTS
-from .candidates import registry_name
+from .candidates import candidate_at, registry_name
 from .exact_levels import best_exact_level
 from .model import CampaignModel
 from .relinearise import relinearised
@@ -237,12 +237,30 @@ def _or_exact_level(
 
 
 def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Sequence[Screened]) -> Candidate:
-    """The best beside those chosen, at its best setting: one that comes near on the grid may be better between its points."""
+    """The best beside those chosen, at its best setting: one that comes near on the grid may be better between its points.
+
+    And one that counts may be better by what pick-offs that are not alike make of it: where a resonance wanders, a Duffing of a
+    hemisphere shows more by their phases than by the frequency, and relaxation was named.
+    """
     screener = model.screener_with(chosen)
-    near = [s.candidate for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
-    refined = [_refined(model, screener, c) for c in near]
+    near = [s for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
+    refined = [_refined(model, screener, s.candidate) for s in near]
     found = [s for c in refined if (s := screener.screen(c)) is not None]
-    return max(found, key=lambda s: s.log_evidence).candidate
+    counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s not in near] + found
+    unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
+    best = max(found + unlike, key=lambda s: s.log_evidence).candidate
+    return next((c for c in refined if (c.name, c.setting) == (best.name, best.setting)), best)
+
+
+def _with_unlike_pickoffs(model: CampaignModel, screener: Screener, found: Screened) -> Screened | None:
+    """An effect with what pick-offs that are not alike make of it at its size, if they make anything."""
+    c = found.candidate
+    sizes = {name: value for name, (value, _) in found.sizes().items()}
+    more = candidate_at(model.evidence, model.linear, c.name, c.setting, c.choices, sizes)
+    if len(more.columns) == len(c.columns):
+        return None
+    screened = screener.screen(more)
+    return screened if screened is not None and physical(screened) else None
 
 
 def _refined(model: CampaignModel, screener: Screener, candidate: Candidate) -> Candidate:
@@ -299,10 +317,12 @@ def _improved(model: CampaignModel, chosen: list[Candidate], largest: float) -> 
                 break
             others = _without(chosen, k)
             ranked = _ranked(model, others)
-            if ranked and _enough(ranked[0], largest):
-                chosen[k] = ranked[0].candidate
-            else:
+            if not ranked or not _enough(ranked[0], largest):
                 chosen = others
+                continue
+            mine = model.screener_with(others).screen(chosen[k])
+            if mine is None or mine.log_evidence < ranked[0].log_evidence:
+                chosen[k] = ranked[0].candidate
         if [c.name for c in chosen] == before:
             break
     return chosen
