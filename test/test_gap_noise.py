@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from gyro_calib.gap import diagnose
 from gyro_calib.gap.columns import Column
+from gyro_calib.gap.evidence import STEADY, WARMING
 from gyro_calib.gap.linear_device import quiet_target_of, target_of
-from gyro_calib.gap.model import CampaignModel, look_at
-from gyro_calib.gap.noise import _tamed, measured_noise, plain_noise
+from gyro_calib.gap.model import CampaignModel, _wander_of_means, look_at
+from gyro_calib.gap.noise import _tamed, _wandering_all_the_same, measured_noise, plain_noise
 from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
+from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
+from gyro_calib.gap.select import _best_refined, _with_unlike_pickoffs
 from gyro_calib.recording.applied_rate import is_turned
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
@@ -86,6 +89,40 @@ def test_a_small_device_s_effect_has_its_name() -> None:
     for name, size in sizes["duffing_axes"].items():
         value = found.effects[0].parameters[name]
         assert abs(value.value - size) < 4.0 * value.sd
+
+
+def test_a_hemisphere_s_duffing_is_known_by_its_pickoffs_phases() -> None:
+    """Its frequency hides in the wander; what is left of k f(p) through unlike phases is k times their difference, and tells far more."""
+    unit, rng = draw_trial_unit("hemisphere", 1301, 1), np.random.default_rng(1)
+    campaign = record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {"duffing": {"k": 0.005}}, rng)
+    f = campaign.factory
+    model = look_at(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+    plain = model.screener.screen(model.candidates["duffing"][0])
+    assert plain is not None
+    told = _with_unlike_pickoffs(model, model.screener, plain)
+    assert told is not None
+    assert told.log_evidence > plain.log_evidence + 30.0
+    chain = unit.device.pickoff
+    value, sd = told.sizes()[f"{SKEW}_phase"]
+    assert abs(value - 0.005 * (chain.phase_y_rad - chain.phase_x_rad)) < 4.0 * sd
+    assert abs(value) > 8.0 * sd
+    tried = [s for cs in model.candidates.values() if (s := model.screener.screen(cs[0])) is not None]
+    first = sorted(tried, key=lambda s: -s.log_evidence)
+    assert _best_refined(model, [], first).name == "duffing"
+
+
+def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_record() -> None:
+    """A thermometer's drift stood in the walk of the frequency's noise, and a healthy ring aged by five standard deviations."""
+    model = looked_at()
+    steady, warming = NoiseLaw((1.0, 2.0, 3.0, 4.0), mean=5.0), NoiseLaw((9.0, 0.0, 0.0, 7.0))
+    assert _wandering_all_the_same({STEADY: steady, WARMING: warming})[WARMING] == NoiseLaw((9.0, 2.0, 0.0, 7.0), mean=5.0)
+    assert _wandering_all_the_same({STEADY: steady}) == {STEADY: steady}
+    wander = _wander_of_means(model.evidence, model.noise)
+    span = max(float(r.signals.time_s.mean()) for r in model.evidence) - min(float(r.signals.time_s.mean()) for r in model.evidence)
+    ageing = next(c.prior_sd for c in model.nuisances if c.name == "frequency_ageing.k")
+    assert ageing >= 2.9 * wander / span
+    lines = model.evidence.recordings[0].lines("amplitude")
+    np.testing.assert_allclose(steady.slow(lines), lines.basis()[:, 1::2] @ [2.0, 4.0] + 5.0 * lines.scale * lines.is_mean)
 
 
 def test_noise_is_not_explained_away() -> None:
