@@ -118,6 +118,7 @@ def _power(s: Signals) -> ComplexArray:
 
 #: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
 _LATE, _LATE_S = "(T - T of 20 s before) x", 20.0
+_RISING = "dT/dt x"
 _LATE_APART = f"{_LATE}, other on each axis"
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
@@ -137,7 +138,7 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("x*", "phase reference"): [lambda s, x: x.conj()],
     **_shaped("T x", "temperature", lambda s: s.temperature_k[:, None]),
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
-    ("dT/dt x", "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
+    (_RISING, "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
     **_shaped(_LATE, "temperature", lambda s: behind(s, _LATE_S)),
     **_shaped("t x", "time", lambda s: s.time_s[:, None]),
     ("Omega x", "rate"): [_by(lambda s: s.rate_rad_s)],
@@ -191,7 +192,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
             if kind == "output" and depends in _NOT_READ:
                 continue
             for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
-                if (kind, phase, text) == ("flow", "in quadrature", _LATE):
+                if (kind, phase) == ("flow", "in quadrature") and text in (_LATE, _RISING):
                     continue
                 if (kind, phase, text) == ("flow", "in quadrature", _LATE_APART):
                     monomials = [lambda s, x: behind(s, _LATE_S) * x * np.array([1.0, -1.0])]
