@@ -246,7 +246,8 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     near = [s for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
     refined = [_refined(model, screener, s.candidate) for s in near]
     found = [s for c in refined if (s := screener.screen(c)) is not None]
-    counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s not in near] + found
+    tried = {s.name for s in near}
+    counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s.name not in tried] + found
     unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
     best = max(found + unlike, key=lambda s: s.log_evidence).candidate
     return next((c for c in refined if (c.name, c.setting) == (best.name, best.setting)), best)
