@@ -118,6 +118,7 @@ def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_
     assert _wandering_all_the_same({STEADY: steady, WARMING: warming})[WARMING] == NoiseLaw((9.0, 2.0, 0.0, 7.0), mean=5.0)
     assert _wandering_all_the_same({STEADY: steady}) == {STEADY: steady}
     wander = _wander_of_means(model.evidence, model.noise)
+    assert wander > 0.0
     span = max(float(r.signals.time_s.mean()) for r in model.evidence) - min(float(r.signals.time_s.mean()) for r in model.evidence)
     ageing = next(c.prior_sd for c in model.nuisances if c.name == "frequency_ageing.k")
     assert ageing >= 2.9 * wander / span

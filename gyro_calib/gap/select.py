@@ -249,8 +249,7 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     tried = {s.name for s in near}
     counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s.name not in tried] + found
     unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
-    best = max(found + unlike, key=lambda s: s.log_evidence).candidate
-    return next((c for c in refined if (c.name, c.setting) == (best.name, best.setting)), best)
+    return max(found + unlike, key=lambda s: s.log_evidence).candidate
 
 
 def _with_unlike_pickoffs(model: CampaignModel, screener: Screener, found: Screened) -> Screened | None:
