@@ -32,8 +32,10 @@ from .told import told_sizes
 
 __all__ = ["diagnose"]
 
-#: a healthy device is believed this often before any recording
-_NONE_BEFORE = 0.5
+#: a healthy device is believed this often before any recording; what is there and was not seen in trials, and how much of that has no name
+_NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
+#: of what trials found unknown, what was, and what was none; the rest has a name
+_UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.7, 0.05
 
 
 def diagnose(
@@ -221,9 +223,9 @@ def _in_order(lines: tuple[Standing, ...]) -> tuple[Standing, ...]:
 
 
 def _probabilities(selection: Selection, beside: SpectralEffects, unknown: Unknown | None) -> tuple[float, float]:
-    """Of none, and of something unnamed."""
+    """Of none, and of something unnamed: by the evidence, and by how often such verdicts were right in trials (`benchmarks/README.md`)."""
     if unknown is not None:
-        return 0.005, 0.9
+        return _UNKNOWN_IS_NONE, _UNKNOWN_IS
     found = [*selection.probabilities, *(e.probability for e in beside.effects)]
     if found:
         # what is not this effect is another or unnamed: against none the evidence itself speaks
@@ -231,8 +233,9 @@ def _probabilities(selection: Selection, beside: SpectralEffects, unknown: Unkno
         none = 1.0 / (1.0 + math.exp(min(0.5 * (strongest - 4.0), 50.0)))
         return none, max(1.0 - max(found) - none, 0.0)
     best = max((s.log_evidence for s in selection.screened.values()), default=-10.0)
-    against = _NONE_BEFORE / (_NONE_BEFORE + (1.0 - _NONE_BEFORE) * math.exp(min(0.5 * (best - 4.0), 50.0)))
-    return float(min(against, 0.98)), 0.01
+    something = (1.0 - _NONE_BEFORE) * (math.exp(min(0.5 * (best - 4.0), 50.0)) + _MISSED)
+    none = _NONE_BEFORE / (_NONE_BEFORE + something)
+    return none, _NAMELESS * min(1.0 - none, _MISSED)
 
 
 def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:

@@ -54,7 +54,9 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
     for here, axes in zip(reversed(chain), signals, strict=True):
         x = axes @ _CIRCULAR if turning else axes
         speed = _speed(x, here.row_s) if turning else np.zeros(x.shape[1])
-        first = _begun(x[: _rows(_END_S, here)], here.row_s, speed)
+        # what goes straight is smooth, and may be on its way where a recording begins and ends
+        rows = _rows(_END_S, here) if steady else 1
+        first = _begun(x[:rows], here.row_s, speed)
         if state is None or earlier is None:
             # the first that is known: settled to what it shows over its first time constant
             start = _begun(x[: _rows(tau_s, here)], here.row_s, speed) / (1.0 + 1j * speed * tau_s)
@@ -63,7 +65,7 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
         else:
             start = _straight(state, earlier[1], first, float(here.time_s[0]) - earlier[0], tau_s)
         out = _low_pass(x, here.row_s, tau_s, start)
-        state, earlier = out[-1], (float(here.time_s[-1]), x[-_rows(_END_S, here) :].mean(axis=0))
+        state, earlier = out[-1], (float(here.time_s[-1]), x[-rows:].mean(axis=0))
     return out @ _AXES if turning else out
 
 

@@ -193,14 +193,16 @@ def _weighed(
     # a wave that is turned shows what depends on rate, whatever its name
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
     strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting]
+    # whether the registry has a name for a drift or not, a floor is what does not go along a straight line
+    straight = [c for a, c in bank if a.depends_on == "time"]
     held = [*nuisances, *slow_drifts(evidence, linear)]
-    allowed = [*saturated_columns(evidence, linear, held, candidates, [*turned, *strange]), *effect_columns(strangers)]
+    allowed = [*saturated_columns(evidence, linear, held, candidates, [*turned, *strange, *straight]), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
     family = _random_family(evidence)
-    of_time = [*held, *columns_of_time(candidates), *effect_columns(strangers)]
+    of_time = [*held, *columns_of_time(candidates), *effect_columns([*straight, *strangers])]
     shares = _random_shares(evidence, family, [allowed, of_time], whitener, whitener.rows(target))
     # what wanders is the temperature: its sensor errs in the same share; a part of it may stand in the noise of means
     shares["wander"] = min(math.hypot(shares["shift"], _wander_of_means(evidence, noise) / most_rad_s), 1.0)

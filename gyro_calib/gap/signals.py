@@ -38,7 +38,7 @@ def smooth_temperature(recording: Recording) -> FloatArray:
     raw, n = recording.temperature_degc, len(recording)
     place = np.linspace(-1.0, 1.0, n)
     line = raw.mean() + place * float(place @ raw) / float(place @ place)
-    running = line + _running_mean(raw - line, SMOOTH_S * recording.sample_rate_hz)
+    running = _running_mean(raw, SMOOTH_S * recording.sample_rate_hz)
     if np.ptp(running) <= WARMING_K:
         return np.asarray(line)
     reference = recording.ref_omega_rad_s - recording.ref_omega_rad_s.mean()
@@ -52,10 +52,17 @@ def smooth_temperature(recording: Recording) -> FloatArray:
 
 
 def _running_mean(x: FloatArray, rows: float) -> FloatArray:
-    """Over about so many rows, centred; mirrored at the ends."""
+    """Over about so many rows, centred; at the ends a straight line through as many: a mirror bends what goes on or comes to rest."""
     width = 2 * (min(round(rows), len(x) // 4) // 2) + 1
-    total = np.cumsum(np.concatenate([[0.0], np.pad(x, width // 2, mode="reflect")]))
-    return np.asarray((total[width:] - total[:-width]) / width)
+    half, place = width // 2, np.arange(width) - width // 2
+    total = np.cumsum(np.concatenate([[0.0], x]))
+    out = np.empty(len(x))
+    out[half : len(x) - half] = (total[width:] - total[:-width]) / width
+    spread = max(float(place @ place), 1.0)
+    for first, kept, into in ((0, slice(0, half), slice(0, half)), (len(x) - width, slice(half + 1, width), slice(len(x) - half, len(x)))):
+        block = x[first : first + width]
+        out[into] = (block.mean() + place * float(place @ block) / spread)[kept]
+    return out
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,14 @@ A 1/f floor does not end at the length of a record: the means of records that fo
 sees it as a drift. Treated as independent from record to record it is taken for an effect of time. Half cosines ``cos(pi k t/T)`` of the
 campaign's time T with variances ``s^2/k`` are a flicker noise to that order; the size s of each family is measured by the likelihood of its
 coefficients (:mod:`.sizes`).
+
+What is faster than those cosines and slower than a record stands in the noise of the records' means, where the wave rests. One that turns
+past the electrodes meets it at its turning line instead: there each record has a drift of its own besides.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +23,8 @@ from .parts import Linear, Part, turned
 __all__ = ["drift_family", "slow_drifts"]
 
 ComplexArray = NDArray[np.complex128]
-#: half cosines of the campaign's time
-_COSINES = 8
+#: half cosines of the campaign's time; families that stand still in the case, which a wave may turn past
+_COSINES, _OF_CASE = 8, ("strayc", "strays", "gain", "phase")
 #: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate and damping
 #: over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
 _STRAY, _GAIN, _PHASE, _RATE, _DAMPING = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5
@@ -55,7 +60,20 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
             shape = np.cos(k * phase)
             signal, quiet = (tuple(float(c) * v for c, v in zip(shape, of, strict=True)) for of in (column.signal, column.quiet))
             columns.append(Column(f"drift.{column.name}.{k}", signal, quiet, largest[family] / np.sqrt(k)))
+        columns += _of_turning(evidence, column, largest[family]) if family in _OF_CASE else []
     return [c for c in columns if any(np.any(v) for v in c.signal)]
+
+
+def _of_turning(evidence: CampaignEvidence, column: Column, size: float) -> list[Column]:
+    """What a family does in each recording whose wave turns: of the sum of 1/k, half of that between its cosines and the recording."""
+    span_s = max(float(r.signals.time_s[-1]) for r in evidence) - min(float(r.signals.time_s[0]) for r in evidence)
+    columns = []
+    for k, r in enumerate(evidence):
+        faster = 2.0 * span_s / (_COSINES * r.recording.duration_s)
+        if r.is_wave and r.signal.turn_rad > math.pi and faster > 1.0:
+            signal, quiet = (tuple(v if j == k else np.zeros_like(v) for j, v in enumerate(of)) for of in (column.signal, column.quiet))
+            columns.append(Column(f"drift.{column.name}.of_{r.index}", signal, quiet, size * math.sqrt(0.5 * math.log(faster))))
+    return columns
 
 
 def drift_family(c: Column) -> str:
