@@ -80,6 +80,16 @@ def test_what_grows_with_time_must_beat_a_floor_as_courses_do() -> None:
         assert any(worth_of(found) < 25.0 for found, term in terms if term.depends_on != "time")
 
 
+def test_what_drifts_steadily_is_no_floor_whether_it_has_a_name_or_not() -> None:
+    """Drive gains that part by 1e-6 a second: without its name the size of the floors took it in, and the device was healthy."""
+    drifting = campaign_of(replace(unit(), effects={"drive_gain_drift": {"g_x": 6e-7, "g_y": -6e-7}}))
+    for left_out, verdict in (((), "effects"), (("drive_gain_drift", "pickoff_gain_drift"), "unknown")):
+        found = diagnose(drifting, without=left_out)
+        assert found.verdict == verdict
+    assert found.unknown is not None
+    assert (found.unknown.form.split(",")[0], found.unknown.depends_on) == ("t x", "time")
+
+
 def test_a_reading_that_swings_is_unknown_with_its_period() -> None:
     found = diagnose(with_reading_gain(lambda r, start: 2e-4 * np.cos(2.0 * np.pi * (r.t - start) / PERIOD_S)))
     assert found.verdict == "unknown"

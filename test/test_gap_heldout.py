@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from gyro_calib.gap.columns import Column
-from gyro_calib.gap.heldout import _Part, halves, halves_disagree
+from gyro_calib.gap.diagnose import _not_of_its_form, _probabilities
+from gyro_calib.gap.heldout import Shrinkage, _Part, halves, halves_disagree
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate
+from gyro_calib.gap.select import Selection
+from gyro_calib.gap.spectral_effects import SpectralEffects
 from gyro_calib.gap.system import Whitener
 
 ROWS, COUNT = 20, 8
@@ -63,3 +66,30 @@ def test_a_half_does_not_guess_at_a_size_that_it_cannot_tell() -> None:
     spread = {key: float(np.std(values)) for key, values in found.items()}
     assert spread["strong", True] == pytest.approx(spread["strong", False], rel=0.1)
     assert spread["weak", True] < 0.5 * spread["weak", False]
+
+
+@pytest.mark.parametrize(
+    ("closed", "left", "unknown"),
+    [(0.95, 1300.0, False), (0.95, 1800.0, False), (0.31, 1300.0, False), (0.31, 1800.0, True), (-0.2, 1800.0, True)],
+)
+def test_what_leaves_most_of_unseen_experiments_is_not_of_its_form(closed: float, left: float, unknown: bool) -> None:
+    """Effects that cancel explain what they are fitted to: unseen experiments, and what is left of all, tell."""
+    model, effect = toy(np.full(COUNT, 3.0), 0)
+    found = SimpleNamespace(name=effect.name, candidate=effect, gain=900.0)
+    selection = SimpleNamespace(effects=(found,), chi2_after=left, dof=1300)
+    shrunk = Shrinkage(before=3.0, after=3.0 - 2.0 * closed, dof=1300, closed=closed, closed_sd=0.03, labels=())
+    said = _not_of_its_form(model, cast(Selection, selection), shrunk)
+    assert (said is not None) == unknown
+    if said is not None:
+        assert (said.nearest, said.depends_on) == ("drive_nonlinearity", "experiment")
+
+
+def test_none_is_believed_no_more_than_trials_allow() -> None:
+    """Of what is there a sixth is not seen: no campaign makes a healthy device certain."""
+    nothing = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=-9.0)})
+    doubtful = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=7.0)})
+    beside = SpectralEffects((), (), None, 0.0)
+    (sure, unnamed), (unsure, _) = (_probabilities(cast(Selection, s), beside, None) for s in (nothing, doubtful))
+    assert 0.8 < sure < 0.87
+    assert 0.05 < unnamed < 1.0 - sure
+    assert unsure < 0.3

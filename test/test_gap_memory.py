@@ -83,6 +83,14 @@ def test_a_temperature_goes_straight_between_recordings() -> None:
     assert np.abs(found - line[-600:]).max() > 1.5
 
 
+def test_a_temperature_may_be_on_its_way_where_a_recording_begins() -> None:
+    """At rest until then: its lag begins at nothing, not at the mean of the first rows."""
+    signals = chain(((25.0, 25.0), (25.0, 33.0), (33.0, 33.0)))
+    line = np.concatenate([np.zeros(600 + round(GAP_S / ROW_S)), np.linspace(0, 8, 600)])
+    found = remembered(signals[1], lambda of: of.temperature_k[:, None].astype(complex), 0.6, steady=False)[:, 0].real
+    np.testing.assert_allclose(found, whole(line, 0.6)[-600:], atol=2e-3)
+
+
 def test_clocks_that_begin_anew_say_nothing_of_what_came_before() -> None:
     first, second = chain()[:2]
     rows = second.recording.data.copy()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gyro_calib.device import draw_unit, load_device
-from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.columns import Column
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.relinearise import relinearised
@@ -54,6 +54,26 @@ def test_a_size_is_measured_through_coefficients_that_are_badly_told() -> None:
     values = 0.01 * rng.standard_normal(50) + told_sd * rng.standard_normal(50)
     found = Solution(tuple(columns), values, np.diag(told_sd**2), np.zeros(1), 0.0, np.zeros((1, 1)))
     assert measured_shares(found, lambda c: c.name.split("_")[0])["shift"] == pytest.approx(0.01, rel=0.3)
+
+
+def test_a_wave_that_turns_meets_what_stands_still_in_the_case() -> None:
+    """1/f volts of the drives: in turned records they are at the turning line, where no repeat of a mean tells how large they are."""
+    base = draw_unit(load_device("hrg_hardware"), 5)
+    device = replace(base, noise=replace(base.noise, drive_flicker_v=3e-6))
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
+    campaign = run_plan(instrument, gap_whole_angle_plan(device.factory(), quality="quick"))
+    f = campaign.factory
+    model = look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+    turned = {r.index for r in model.evidence if r.is_wave and r.signal.turn_rad > math.pi}
+    own = [c for c in model.nuisances if ".of_" in c.name]
+    assert turned
+    assert {int(c.name.rpartition("_")[2]) for c in own} == turned
+    assert {drift_family(c) for c in own} == {"strayc", "strays", "gain", "phase"}
+    # each concerns its recording alone
+    for c in own:
+        assert [k for k, v in enumerate(c.signal) if np.any(v)] == [int(c.name.rpartition("_")[2])]
+    largest = max(abs(model.base.by_name()[c.name]) / c.prior_sd for c in own if drift_family(c) == "strays")
+    assert 1.0 < largest < 4.0
 
 
 def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of_the_moment() -> None:
