@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bench_data import BENCH, needs_bench
 
-from gyro_calib.cli.main import main
+from gyro_calib.cli.main import build_parser, main
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import Diagnosis, FoundEffect, Gap, NextExperiment, Standing, Unknown
@@ -120,6 +120,17 @@ def test_a_person_reads_the_verdict(recording, capsys):
 def test_json_on_stdout_is_all_there_is(recording, capsys):
     assert main(["diagnose", str(recording), "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "effects"
+
+
+def test_json_is_written_though_the_terminal_is_gone(recording, tmp_path, monkeypatch):
+    def gone(*arguments, **options):
+        raise BrokenPipeError
+
+    monkeypatch.setattr("gyro_calib.cli.diagnose.print_diagnosis", gone)
+    arguments = build_parser().parse_args(["diagnose", str(recording), "--json", str(tmp_path / "gap.json")])
+    with pytest.raises(BrokenPipeError):
+        arguments.run(arguments)
+    assert json.loads((tmp_path / "gap.json").read_text())["verdict"] == "effects"
 
 
 @pytest.mark.parametrize(

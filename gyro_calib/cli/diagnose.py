@@ -48,11 +48,14 @@ def run(arguments: argparse.Namespace) -> int:
         diagnosis = diagnose(campaign, on_progress=report)
     diagnosis = with_provenance(diagnosis, arguments.recordings)
     shown = arguments.json is None or str(arguments.json) != "-"
-    if shown:
-        print_diagnosis(diagnosis, every=arguments.all)
-    print_warnings(diagnosis.warnings)
-    if arguments.json is not None:
-        write_json(arguments.json, diagnosis.to_json())
+    try:
+        # before the terminal, which may be gone: `| head` closes it
+        if arguments.json is not None:
+            write_json(arguments.json, diagnosis.to_json())
+    finally:
+        if shown:
+            print_diagnosis(diagnosis, every=arguments.all)
+        print_warnings(diagnosis.warnings)
     if arguments.html is not None:
         from ..report.gap_page import write_gap_page
 
