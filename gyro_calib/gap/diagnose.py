@@ -37,7 +37,7 @@ _NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
 #: of what trials found unknown, what was, and what was none; the rest has a name
 _UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.7, 0.05
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
-_MOST, _SIGMAS = 0.5, 3.0
+_LEAST_CLOSED, _SIGMAS = 0.5, 3.0
 
 
 def diagnose(
@@ -201,7 +201,7 @@ def _unknown(selection: Selection) -> Unknown | None:
 
 def _not_of_its_form(model: CampaignModel, selection: Selection, shrunk: Shrinkage) -> Unknown | None:
     """What looks like an effect but leaves most of the gap of unseen experiments, or makes it worse, because its size is another there."""
-    follows = shrunk.after < shrunk.before and shrunk.closed + _SIGMAS * shrunk.closed_sd > _MOST
+    follows = shrunk.after < shrunk.before and shrunk.closed + _SIGMAS * shrunk.closed_sd > _LEAST_CLOSED
     if not selection.effects or follows:
         return None
     left_over = selection.chi2_after - selection.dof > _SIGMAS * math.sqrt(2.0 * selection.dof)

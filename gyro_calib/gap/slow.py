@@ -46,7 +46,10 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
 
 
 def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """Slow cosines of everything that drifts, as large as they may be at most; named ``drift.family.axis.k``."""
+    """Slow cosines of everything that drifts, as large as they may be at most; named ``drift.family.axis.k``.
+
+    And what stands still in the case in each recording whose wave turns past it: ``drift.family.axis.of_index``.
+    """
     base = part_columns(evidence, [_parts(r, linear) for r in evidence], linear)
     times = np.array([float(r.signals.time_s.mean()) for r in evidence])
     phase = np.pi * (times - times.min()) / max(float(np.ptp(times)), 1.0)
