@@ -85,6 +85,17 @@ def test_an_image_of_the_carrier_by_a_converter_is_no_tone() -> None:
     assert find_tone(pick_spectra(records(np.random.default_rng(3), carrier_hz=(carrier,), tone=(30000.0 - carrier, 1e-5))), LINEAR) is None
 
 
+def test_an_image_of_another_temperature_is_no_witness() -> None:
+    """A click in one record stands where the images of the warm records are: they saw their carriers, not the click."""
+    rng, cold, warm = np.random.default_rng(3), 14990.0, 14993.4
+    image = 30000.0 - warm
+    plain = records(rng, carrier_hz=(cold,))
+    plain[1] = records(rng, carrier_hz=(cold,), tone=(image, 1e-5))[1]
+    for k in (4, 7):
+        plain[k] = records(rng, carrier_hz=(warm,), tone=(image, 1e-5))[k]
+    assert find_tone(pick_spectra(plain), LINEAR) is None
+
+
 def test_a_line_in_one_record_alone_is_no_finding() -> None:
     rng = np.random.default_rng(4)
     plain = records(rng)

@@ -31,8 +31,8 @@ _MARGIN, _PRICE = 30.0, 2.0
 _SHOWN, _FEWEST = 8.0, 2
 #: nearer to the carrier than this the loops mirror a tone, and it is not told from a hum [Hz]
 _MIRRORED_HZ = 20.0
-#: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz]
-_RATES_HZ, _IMAGED, _SAME_HZ = 100.0, 5, 0.15
+#: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz], and [bins]
+_RATES_HZ, _IMAGED, _SAME_HZ, _SKIRT_BINS = 100.0, 5, 0.15, 3.0
 #: least power of one side band over the other's for both to be those of a hum
 _EVEN = 0.25
 
@@ -81,7 +81,7 @@ def find_tone(spectra: Sequence[PickSpectrum], linear: Linear) -> Tone | None:
         found
         for spectrum in spectra
         for away in _peaks(spectrum)
-        if not _is_image(spectrum.carrier_hz, away)
+        if not _is_image(spectrum, away)
         for found in (_gathered(spectra, abs(away), hum=True), _gathered(spectra, spectrum.carrier_hz + away, hum=False))
     ]
     searched = math.log(2.0 * sum(s.frequency_hz.size for s in spectra))
@@ -113,11 +113,12 @@ def _peaks(s: PickSpectrum) -> list[float]:
     return found[:_MOST_PEAKS]
 
 
-def _is_image(carrier_hz: float, away_hz: float) -> bool:
-    """Whether the line is a harmonic of the carrier folded at a converter's rate."""
+def _is_image(s: PickSpectrum, away_hz: float) -> bool:
+    """Whether the line is a harmonic of this record's carrier folded at a converter's rate, or stands on the skirt of one."""
+    near = max(_SAME_HZ, _SKIRT_BINS * s.bin_hz)
     for k in range(-_IMAGED, _IMAGED + 1):
-        rate = carrier_hz + away_hz - k * carrier_hz
-        if k != 1 and abs(rate - _RATES_HZ * round(rate / _RATES_HZ)) < _SAME_HZ:
+        rate = s.carrier_hz + away_hz - k * s.carrier_hz
+        if k != 1 and abs(rate - _RATES_HZ * round(rate / _RATES_HZ)) < near:
             return True
     return False
 
@@ -126,9 +127,11 @@ def _gathered(spectra: Sequence[PickSpectrum], frequency_hz: float, *, hum: bool
     evidence, shown = 0.0, 0
     for s in spectra:
         sides = (frequency_hz, -frequency_hz) if hum else (frequency_hz - s.carrier_hz,)
-        if not s.clear_hz < abs(sides[0]) < 0.45 * s.recording.sample_rate_hz:
+        # an image stands still only at one temperature: at another it passes by lines that have nothing to do with it
+        heard = [f for f in sides if not _is_image(s, f)]
+        if not heard or not s.clear_hz < abs(sides[0]) < 0.45 * s.recording.sample_rate_hz:
             continue
-        z = np.concatenate([_at(s, f) for f in sides])
+        z = np.concatenate([_at(s, f) for f in heard])
         evidence += float(np.sum(np.maximum(z - 1.0 - np.log(np.maximum(z, 1.0)), 0.0) - _PRICE))
         shown += bool(z.max() > _SHOWN)
     return _Line(hum, frequency_hz, evidence, shown)
