@@ -74,3 +74,9 @@ def test_what_passed_for_a_feedthrough_is_found(monkeypatch: pytest.MonkeyPatch)
     effect = {"pickoff_interference": {"v_xc": 1e-6, "v_xs": -5e-6, "v_yc": 2e-6, "v_ys": -2.8e-5}}
     chi2, dof = left(monkeypatch, "hemisphere", effect, known=True)
     assert chi2 < 0.06 * dof
+
+
+def test_a_resonance_that_ages_takes_nothing_off_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its force is one on the motion, and the column of E had already taken off what feeds through at the distance that it makes."""
+    chi2, dof = left(monkeypatch, "hemisphere", {"frequency_ageing": {"k": -1e-4}}, known=True)
+    assert chi2 < 0.06 * dof

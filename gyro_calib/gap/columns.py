@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .evidence import CampaignEvidence, RecordingEvidence
+from .followed import with_what_feeds
 from .parts import SKEW, Form, Linear, Part, Setting
 from .signals import Projector, Signals
 
@@ -108,7 +109,7 @@ def _columns(evidence: CampaignEvidence, by_recording: Iterable[list[tuple[Key, 
                 totals[key] = totals[key] + found if key in totals else found
             for key, total in totals.items():
                 by_key.setdefault(key, []).append(r.turn * total)
-    return {key: Column(key[1], tuple(signal), tuple(vectors[1][key])) for key, signal in vectors[0].items()}
+    return {key: Column(key[1], *with_what_feeds(evidence, linear, vectors[0][key], vectors[1][key])) for key in vectors[0]}
 
 
 def _added(s: Signals, part: Part, linear: Linear) -> ComplexArray:

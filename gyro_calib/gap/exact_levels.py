@@ -65,7 +65,7 @@ def _exact(model: CampaignModel, name: str, level: float) -> ExactLevel:
     extra = _extra_drive(model, name, level)
     columns = [_with(c, extra) for c in model.nuisances]
     solution = solve(columns, model.whitener.design(columns, len(model.evidence)), model.whitener.rows(model.target))
-    linear = linear_of(model.evidence, solution.by_name(), model.linear.angular_gain)
+    linear = linear_of(model.evidence, solution.by_name(), model.linear.angular_gain, model.linear.followed)
     return ExactLevel(name, level, linear, solution.chi2)
 
 

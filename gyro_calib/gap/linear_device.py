@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..estimation.wave_projection import WaveProjected
 from .columns import QUIET, SIGNAL, Column
 from .evidence import CampaignEvidence, RecordingEvidence
+from .followed import Followed, followed_by
 from .parts import Linear
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "combined",
     "entry",
     "frequency_columns",
+    "knows_its_resonance",
     "linear_columns",
     "linear_of",
     "quiet_target_of",
@@ -158,9 +160,9 @@ def _feedthrough(place: str, evidence: CampaignEvidence, linear: Linear | None, 
             vector = projected.drive_rate[:, a, b]
             if linear is not None:
                 vector = vector + (-1) ** a * linear.angular_gain * projected.rate_drive[:, 1 - a, b]
-            if linear is not None and linear.followed_rad_s:
+            if linear is not None and linear.followed is not None:
                 still = np.zeros((len(r.signals.time_s), 2), complex)
-                still[:, a] = 1j * linear.followed_rad_s[r.index] * r.signals.drive[:, b]
+                still[:, a] = 1j * linear.followed.rad_s[r.index] * r.signals.drive[:, b]
                 vector = vector - where.projector(r).plain([still])[:, 0]
             vectors.append(r.turn * vector)
         sides.append(vectors)
@@ -186,8 +188,8 @@ def span_k(evidence: CampaignEvidence) -> float:
     return float(np.ptp(np.concatenate([r.signals.temperature_k for r in evidence])))
 
 
-def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_gain: float) -> Linear:
-    """The linear device that a solution says."""
+def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_gain: float, followed: Followed | None = None) -> Linear:
+    """The linear device that a solution says; ``followed``: where the fit for the column of E found its resonance."""
 
     def matrix(letter: str) -> ComplexArray:
         entries = [values.get(f"{letter}_{p}_re", 0.0) + 1j * values.get(f"{letter}_{p}_im", 0.0) for p in ("xx", "xy", "yx", "yy")]
@@ -195,10 +197,12 @@ def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_g
 
     A, reduced, E = matrix("A"), matrix("G"), matrix("E")
     moved = tuple(_moved(r, values) for r in evidence)
-    # of a temperature that is its sensor's noise the coefficient is any number
-    is_known = abs(values.get("frequency_per_k", 0.0)) < _MOST_PER_K * evidence.omega0_rad_s
-    followed = tuple(_followed(r, values) for r in evidence) if is_known else ()
     return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), moved, followed)
+
+
+def knows_its_resonance(evidence: CampaignEvidence, values: Mapping[str, float]) -> bool:
+    """Whether a solution says where the resonance lay: of a temperature that is its sensor's noise the coefficient is any number."""
+    return abs(values.get("frequency_per_k", 0.0)) < _MOST_PER_K * evidence.omega0_rad_s
 
 
 def _moved(r: RecordingEvidence, values: Mapping[str, float]) -> ComplexArray:
@@ -212,15 +216,7 @@ def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
     """How far the resonance lay from the frequency of reference, row by row, by its temperature and its wander."""
     s, slope = r.signals, values.get("frequency_per_k", 0.0)
     late = -slope * values.get("thermal_lag.tau", 0.0) * np.gradient(s.temperature_k, s.row_s)
-    return np.asarray(_followed(r, values) + late + values.get("frequency_ageing.k", 0.0) * s.time_s)
-
-
-def _followed(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
-    """The part of it whose columns are of the pick-off's volts, feedthrough and all."""
-    s = r.signals
-    warm = values.get("frequency_per_k", 0.0) * s.temperature_k + values.get("frequency_per_k2", 0.0) * s.temperature_k**2
-    wander = values.get(f"shift_{r.index}", 0.0) + values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(s.time_s))
-    return np.asarray(warm + wander)
+    return np.asarray(followed_by(r, values) + late + values.get("frequency_ageing.k", 0.0) * s.time_s)
 
 
 def _open(r: RecordingEvidence) -> float:

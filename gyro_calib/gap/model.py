@@ -18,7 +18,8 @@ from .candidates import candidate_at, candidates_of
 from .columns import Column
 from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
-from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, linear_columns, linear_of, span_k, target_of
+from .followed import followed_of
+from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, knows_its_resonance, linear_columns, linear_of, span_k, target_of
 from .noise import PlainNoise, first_noise, measured_noise, plain_noise, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
@@ -154,7 +155,7 @@ def look_at(
     evidence, linear, values, late_s = _in_time(evidence, linear, values, angular_gain, most)
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
-    error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed_rad_s and linear.frequency_slope_rad_s_k else 0.0
+    error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
     nuisances = [*_nuisances(evidence, linear, most, wander), *errs]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
@@ -271,8 +272,7 @@ def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: flo
     """The linear device of a fit with rough noise, and all its values; ``known_gain``: response to rate that is taken as known."""
     whitener = Whitener.of(evidence, first_noise(evidence))
     target = whitener.rows(target_of(evidence, known_gain))
-    values = solve(columns, whitener.design(columns, len(evidence)), target).by_name()
-    return linear_of(evidence, values, angular_gain), values
+    return _told(evidence, columns, whitener, target, angular_gain)
 
 
 def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: float) -> tuple[Linear, dict[str, float]]:
@@ -282,8 +282,18 @@ def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: f
     """
     noise, excess = measured_noise(evidence, columns, columns, angular_gain)
     whitener = Whitener.of(evidence, noise, excess)
-    values = solve(columns, whitener.design(columns, len(evidence)), whitener.rows(target_of(evidence, angular_gain))).by_name()
-    return linear_of(evidence, values, angular_gain), values
+    return _told(evidence, columns, whitener, whitener.rows(target_of(evidence, angular_gain)), angular_gain)
+
+
+def _told(
+    evidence: CampaignEvidence, columns: list[Column], whitener: Whitener, target: NDArray[np.float64], angular_gain: float
+) -> tuple[Linear, dict[str, float]]:
+    """The linear device, with where its resonance lay, and all values of a fit."""
+    design = whitener.design(columns, len(evidence))
+    solution = solve(columns, design, target)
+    values = solution.by_name()
+    followed = followed_of(evidence, solution, whitener, design) if knows_its_resonance(evidence, values) else None
+    return linear_of(evidence, values, angular_gain, followed), values
 
 
 def _in_time(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .signals import Signals
+
+if TYPE_CHECKING:
+    from .followed import Followed
 
 __all__ = ["SKEW", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
 
@@ -39,9 +42,8 @@ class Linear:
     moved_rad_s : tuple of ndarray, complex
         By recording and row what the temperature and the resonance's wander add to the diagonal of A: damping, and i times how far the
         resonance lay from the frequency of reference; empty: as the slope says.
-    followed_rad_s : tuple of ndarray, shape (n,) each
-        By recording and row the part of that distance which the fit takes from the pick-off's volts: the column of E takes off what feeds
-        through of them. Empty: not known.
+    followed : Followed or None
+        Where the resonance lay before anything had a name: the column of E takes off what feeds through there. None: not known.
     """
 
     A: ComplexArray
@@ -50,7 +52,7 @@ class Linear:
     angular_gain: float
     frequency_slope_rad_s_k: float
     moved_rad_s: tuple[ComplexArray, ...] = ()
-    followed_rad_s: tuple[FloatArray, ...] = ()
+    followed: Followed | None = None
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """A x, with A at each row's resonance, damping and applied rate, shape (n, 2)."""

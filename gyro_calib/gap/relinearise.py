@@ -37,7 +37,7 @@ def relinearised(model: CampaignModel, chosen: Sequence[Candidate], start: Linea
     for _ in range(_ROUNDS if chosen else 0):
         solution = model.fitted(current)
         values = solution.by_name()
-        linear = linear_of(model.evidence, values, model.linear.angular_gain)
+        linear = linear_of(model.evidence, values, model.linear.angular_gain, model.linear.followed)
         if all(c.name != "thermal_lag" for c in current):
             linear = replace(linear, frequency_slope_rad_s_k=model.linear.frequency_slope_rad_s_k)
         sizes = {c.name: {column.name: values[f"{c.name}.{column.name}"] for column in c.columns} for c in current}
