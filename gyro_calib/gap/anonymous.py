@@ -164,6 +164,13 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: _axis(_by_motion(s.pick, x), 1),
     ],
 }
+#: what feeds through and is not in proportion to the drive: a varactor, a stray capacitance that the motion moves
+_FED: dict[tuple[str, str], list[Monomial]] = {
+    ("|u|^2 u, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * s.drive],
+    ("|u_j|^2 u_j, u the drives", "drive"): [lambda s, x, k=k: _axis(np.abs(s.drive) ** 2 * s.drive, k) for k in range(2)],  # type: ignore[misc]
+    ("|p|^2 u, p the motion, u the drives", "amplitude"): [lambda s, x: _norm(s.pick) ** 2 * s.drive],
+    ("t u, u the drives", "time"): [lambda s, x: s.time_s[:, None] * s.drive],
+}
 #: terms that only tell anything new of a signal other than their own
 _OF_DRIVE, _OF_MOTION = ("|u|^2 x, u the drives", "u_x u_y x on the other axis, u the drives"), ("|p_j|^2 x_j, p the motion",)
 #: effects of a level, tried with any share of what lies beyond it: a knee that is soft
@@ -176,6 +183,7 @@ _TURNING = ("|x_k|^2 x_j, k the other axis",)
 #: on what no unnamed reading depends: L of a rate that steps is the table's clock and the recorder's filter, a wave held to the
 #: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away
 _NOT_READ = ("rate", "phase reference", "drive", "speed of change")
+_PHASES = (("in phase", 1.0 + 0j), ("in quadrature", 1j))
 #: on what a term may depend that follows its signal at once
 _AT_ONCE = ("amplitude", "temperature", "time")
 
@@ -183,6 +191,9 @@ _AT_ONCE = ("amplitude", "temperature", "time")
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
     """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
     forms, found = [], []
+    for (text, depends), monomials in _FED.items():
+        for phase, factor in _PHASES:
+            forms.append((Anonymous(LOCATIONS["output"], phase, text, depends), _form("output", monomials, factor, at_once=False)))
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in _MONOMIALS.items():
             if text in _TURNING and not evidence.turns:
@@ -191,7 +202,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                 continue
             if kind == "output" and depends in _NOT_READ:
                 continue
-            for phase, factor in (("in phase", 1.0 + 0j), ("in quadrature", 1j)):
+            for phase, factor in _PHASES:
                 if (kind, phase) == ("flow", "in quadrature") and text in (_LATE, _RISING):
                     continue
                 if (kind, phase, text) == ("flow", "in quadrature", _LATE_APART):

@@ -1,0 +1,50 @@
+"""Feedthrough that is not in proportion to the drive: nothing of the catalogue, and told as what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from table_samples import on_a_table
+
+from gyro_calib.gap import diagnose
+from gyro_calib.recording.columns import column_index
+from gyro_calib.recording.recording import Campaign, Recording
+
+ComplexArray = NDArray[np.complex128]
+
+
+def read_with(campaign: Campaign, added: list[ComplexArray]) -> Campaign:
+    """The campaign with volts (n, 2) added to what the pick-offs read, recording by recording."""
+    found = []
+    for r, volts in zip(campaign, added, strict=True):
+        data = r.data.copy()
+        for axis, letter in enumerate("xy"):
+            data[:, column_index(f"{letter}_pick_c")] += volts[:, axis].real
+            data[:, column_index(f"{letter}_pick_s")] += volts[:, axis].imag
+        found.append(replace(r, data=data))
+    return replace(campaign, recordings=tuple(found))
+
+
+def moved(r: Recording) -> ComplexArray:
+    return np.asarray(np.sum(np.abs(r.pick) ** 2, axis=1)[:, None] * r.drive)
+
+
+def bent(r: Recording) -> ComplexArray:
+    return np.asarray(np.abs(r.drive) ** 2 * r.drive)
+
+
+@pytest.mark.parametrize(
+    ("share", "volts", "form"),
+    [(3e-4, moved, "|p|^2 u, p the motion, u the drives"), (5e-4, bent, "u the drives")],
+    ids=["a stray capacitance that moves", "a varactor"],
+)
+def test_what_feeds_through_out_of_proportion_is_unknown(share: float, volts: object, form: str) -> None:
+    campaign = on_a_table()
+    verdict = diagnose(read_with(campaign, [share * volts(r) for r in campaign]))  # type: ignore[operator]
+    assert verdict.verdict == "unknown"
+    assert verdict.unknown is not None
+    assert verdict.unknown.location == "pick-off"
+    assert form in verdict.unknown.form
