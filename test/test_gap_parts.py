@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from gyro_calib.gap.forms import cube
-from gyro_calib.gap.parts import Linear, read_at_once
+from gyro_calib.gap.forms import FORMS, cube
+from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once
 from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Setpoints
@@ -51,3 +51,25 @@ def test_the_flow_says_how_fast_a_reading_changes(f: Callable[[np.ndarray], np.n
     # o' - A o with the detuning that a form by derivatives has to know
     expected = np.gradient(part.signal, ROW_S, axis=0, edge_order=2) - part.signal @ (A + 1j * detuning_rad_s * np.eye(2)).T
     np.testing.assert_allclose(found[3:-3], expected[3:-3], atol=1e-3 * max(1.0, detuning_rad_s))
+
+
+@pytest.mark.parametrize("skew", [2e-4, -1e-3])
+def test_an_axis_at_rest_rubs_as_its_pickoffs_are_not_square(skew: float) -> None:
+    """Held along x as read, the motion has a little of y: of dry friction by axis that is all, against or with the wave."""
+    signals, linear = moving(0.0)
+    azimuth = 0.4 * signals.time_s
+    for angle, at_rest in ((np.zeros_like(azimuth), True), (0.6 + azimuth, False)):
+        volts = np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.exp(0.3j)
+        motion = np.stack([volts[:, 0], volts[:, 1] - skew * volts[:, 0]], axis=1)
+        found = {
+            p.parameter: p.signal for p in FORMS["coulomb_friction"].parts(_without_drive(with_pick(signals, volts)), linear, {"axes": 1.0})
+        }
+        rest = -np.sign(skew) * UNEQUAL
+        told = found["c_x"] + found["c_y"] + rest * found[f"{SKEW}_rest_y"]
+        np.testing.assert_allclose(told, -motion / np.abs(motion), atol=2e-2)
+        assert (np.abs(found[f"{SKEW}_rest_y"][:, 1]).max() * UNEQUAL > 0.9) == at_rest
+
+
+def _without_drive(signals: Signals) -> Signals:
+    signals.__dict__["drive"] = np.zeros_like(signals.pick)
+    return signals

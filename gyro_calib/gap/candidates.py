@@ -10,15 +10,13 @@ from ..effects import EFFECTS
 from .columns import Column, form_columns, forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
-from .parts import SKEW, Linear, Setting
+from .parts import SKEW, UNEQUAL, Linear, Setting
 from .screen import Candidate
 
 __all__ = ["candidate_at", "candidates_of", "registry_name"]
 
 #: width of the prior of a parameter over its typical size in the registry
 _PRIOR_WIDTH = 10.0
-#: how unequal the pick-offs of a unit are
-_UNEQUAL = 0.03
 
 
 def registry_name(name: str, setting: Setting) -> str:
@@ -82,5 +80,5 @@ def _candidate(name: str, setting: Setting, columns: Sequence[Column], choices: 
     prior = {c.name: _PRIOR_WIDTH * typical[c.name] if c.name in typical else 1.0 for c in columns}
     if sizes is not None:
         own = max((abs(size) for parameter, size in sizes.items() if not parameter.startswith(SKEW)), default=0.0)
-        prior |= {c.name: _UNEQUAL * own for c in columns if c.name.startswith(SKEW)}
+        prior |= {c.name: UNEQUAL * own for c in columns if c.name.startswith(SKEW)}
     return Candidate(name, setting, tuple(columns), np.array([prior[c.name] for c in columns]), choices)

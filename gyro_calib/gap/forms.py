@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from .memory import remembered
-from .parts import SKEW, Form, Kind, Linear, Part, Setting, read_at_once, turned
+from .parts import SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, read_at_once, turned
 from .signals import Signals
 
 __all__ = ["FORMS", "behind", "conjugate_product", "cube"]
@@ -242,10 +242,17 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
 
 
 def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Dry friction, against the velocity or of each axis by itself; on an axis that rests it has no direction."""
+    """Dry friction, against the velocity or of each axis by itself.
+
+    An axis that is held at rest goes with the other by as much as the pick-offs are not square to each other: that is all of its friction, of
+    either sign.
+    """
     p = _motion(s, d)
     if setting["axes"]:
-        return _by_axis("flow", "c", -p / np.sqrt(np.abs(p) ** 2 + _AT_REST**2 * _square(p)))
+        size = np.sqrt(_square(p))
+        against = -p / np.sqrt(np.abs(p) ** 2 + (_AT_REST * size) ** 2)
+        at_rest = -(1.0 - np.abs(against)) * _swapped(p) / (size + 1e-12)
+        return [*_by_axis("flow", "c", against), *_by_axis("flow", f"{SKEW}_rest", at_rest / UNEQUAL)]
     return [Part("c", "flow", -_dry(p)), *_skewed(p, _dry, -1.0)]
 
 

@@ -14,12 +14,14 @@ from .signals import Signals
 if TYPE_CHECKING:
     from .followed import Followed
 
-__all__ = ["SKEW", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
+__all__ = ["SKEW", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: a part that is no parameter of its effect: what the unit's own pick-offs make of it
 SKEW = "skew"
+#: how unequal the pick-offs of a unit are
+UNEQUAL = 0.03
 #: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
 Kind = Literal["flow", "drive", "output"]
 #: values of the parameters that are not linear
