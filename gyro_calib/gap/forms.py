@@ -244,8 +244,8 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
 def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """Dry friction, against the velocity or of each axis by itself.
 
-    An axis that is held at rest goes with the other by as much as the pick-offs are not square to each other: that is all of its friction, of
-    either sign.
+    An axis that is held at rest goes with the other by as much as the pick-offs are not square to each other: that is all of its friction,
+    to either side.
     """
     p = _motion(s, d)
     if setting["axes"]:
