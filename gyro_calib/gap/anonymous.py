@@ -184,8 +184,10 @@ _TURNING = ("|x_k|^2 x_j, k the other axis",)
 #: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away
 _NOT_READ = ("rate", "phase reference", "drive", "speed of change")
 _PHASES = (("in phase", 1.0 + 0j), ("in quadrature", 1j))
+#: but for what goes with the rate's square, which no clock of a table that turns both ways imitates
+_READ = ("Omega^2 x",)
 #: on what a term may depend that follows its signal at once
-_AT_ONCE = ("amplitude", "temperature", "time")
+_AT_ONCE = ("amplitude", "temperature", "time", "rate")
 
 
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
@@ -200,7 +202,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                 continue
             if (text in _OF_DRIVE and kind == "drive") or (text in _OF_MOTION and kind != "drive"):
                 continue
-            if kind == "output" and depends in _NOT_READ:
+            if kind == "output" and depends in _NOT_READ and text not in _READ:
                 continue
             for phase, factor in _PHASES:
                 if (kind, phase) == ("flow", "in quadrature") and text in (_LATE, _RISING):
