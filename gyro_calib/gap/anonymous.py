@@ -184,8 +184,8 @@ _TURNING = ("|x_k|^2 x_j, k the other axis",)
 #: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away
 _NOT_READ = ("rate", "phase reference", "drive", "speed of change")
 _PHASES = (("in phase", 1.0 + 0j), ("in quadrature", 1j))
-#: but for what goes with the rate's square, which no clock of a table that turns both ways imitates
-_READ = ("Omega^2 x",)
+#: but for what goes with squares: no clock of a table that turns both ways imitates that of its rate, no noise that of the drives
+_READ = ("Omega^2 x", "|u|^2 x, u the drives")
 #: on what a term may depend that follows its signal at once
 _AT_ONCE = ("amplitude", "temperature", "time", "rate")
 
