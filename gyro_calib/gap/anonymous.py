@@ -39,7 +39,7 @@ class Anonymous:
     location : str
         ``"dynamics"``, ``"drive"`` or ``"pick-off"``.
     phase : str
-        ``"in phase"`` or ``"in quadrature"`` with what it grows from.
+        ``"in phase"`` or ``"in quadrature"`` with what it grows from; ``"of any phase"`` with the reference.
     form : str
         Monomial.
     depends_on : str
@@ -116,6 +116,8 @@ def _power(s: Signals) -> ComplexArray:
     return (_norm(s.drive) ** 2).astype(np.complex128)
 
 
+#: of either axis, in step with the reference and a quarter of a cycle behind it: what is constant has no phase to grow from
+_CONSTANTS = [lambda x, k=k, f=f: _axis(np.full_like(x, f), k) for k in range(2) for f in (1.0, 1j)]
 #: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
 _LATE, _LATE_S = "(T - T of 20 s before) x", 20.0
 _RISING = "dT/dt x"
@@ -150,11 +152,8 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("x of 0.1 s before", "speed of change"): [lambda s, x: _late(s, x, 0.1)],
     ("x of 1 s before", "speed of change"): [lambda s, x: _late(s, x, 1.0)],
     ("x/(1 + i 10 Hz away)", "frequency"): [lambda s, x: x / (1.0 + 0.1j * (s.omega_rad_s - s.omega0_rad_s) / (2.0 * np.pi))[:, None]],
-    ("a constant", "reference"): [
-        lambda s, x: _axis(np.ones_like(x), 0) * float(s.recording.command.mode != "loops_off"),
-        lambda s, x: _axis(np.ones_like(x), 1) * float(s.recording.command.mode != "loops_off"),
-    ],
-    ("a constant, also in open drive", "reference"): [lambda s, x: _axis(np.ones_like(x), 0), lambda s, x: _axis(np.ones_like(x), 1)],
+    ("a constant", "reference"): [lambda s, x, c=c: float(s.recording.command.mode != "loops_off") * c(x) for c in _CONSTANTS],  # type: ignore[misc]
+    ("a constant, also in open drive", "reference"): [lambda s, x, c=c: c(x) for c in _CONSTANTS],  # type: ignore[misc]
     ("|u|^2 x, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * x],
     **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 3.0)),
     **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 15.0)),
@@ -183,7 +182,7 @@ _TURNING = ("|x_k|^2 x_j, k the other axis",)
 #: on what no unnamed reading depends: L of a rate that steps is the table's clock and the recorder's filter, a wave held to the
 #: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away
 _NOT_READ = ("rate", "phase reference", "drive", "speed of change")
-_PHASES = (("in phase", 1.0 + 0j), ("in quadrature", 1j))
+_PHASES, _ANY_PHASE = (("in phase", 1.0 + 0j), ("in quadrature", 1j)), (("of any phase", 1.0 + 0j),)
 #: but for what goes with squares: no clock of a table that turns both ways imitates that of its rate, no noise that of the drives
 _READ = ("Omega^2 x", "|u|^2 x, u the drives")
 #: on what a term may depend that follows its signal at once
@@ -204,7 +203,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                 continue
             if kind == "output" and depends in _NOT_READ and text not in _READ:
                 continue
-            for phase, factor in _PHASES:
+            for phase, factor in _PHASES if depends != "reference" else _ANY_PHASE:
                 if (kind, phase) == ("flow", "in quadrature") and text in (_LATE, _RISING):
                     continue
                 if (kind, phase, text) == ("flow", "in quadrature", _LATE_APART):
