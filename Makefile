@@ -27,13 +27,13 @@ help:
 demo: $(VENV)/.installed
 	$(BIN)/gyro-calib demo $(ARGS)
 
-# What computes runs side by side, one thread each; then what starts nodes, alone, for it keeps real time. Discovery and best-effort samples
-# are at the mercy of whatever else the machine does: what failed there is tried once more, and fails if it fails again.
+# What computes runs side by side, one thread each; then what starts nodes, which mostly waits, by files in domains of their own. Discovery and
+# best-effort samples are at the mercy of whatever else the machine does: what failed there is tried once more, alone, and fails if it fails again.
 test: $(VENV)/.installed
 ifeq ($(strip $(ARGS)),)
 	@export OPENBLAS_NUM_THREADS=1; status=0; \
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not ros' || status=1; \
-	$(BIN)/python -m pytest -m 'ros and not slow' || \
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'ros and not slow' || \
 	$(BIN)/python -m pytest -m 'ros and not slow' --last-failed --last-failed-no-failures none || status=1; \
 	exit $$status
 else

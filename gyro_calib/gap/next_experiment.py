@@ -75,7 +75,7 @@ def _repeats(model: CampaignModel, selection: Selection) -> list[Alternative]:
         screener = model.screener_with([c for j, c in enumerate(chosen) if j != k])
         mine = screener.screen(chosen[k])
         for other in group[1:]:
-            rivals = [s for c in model.candidates.get(other, ()) if (s := screener.screen(c)) is not None]
+            rivals = screener.screened(model.candidates.get(other, ()))
             if mine is None or not rivals:
                 continue
             shown = mine.directions @ (mine.directions.T @ screener.left)

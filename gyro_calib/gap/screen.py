@@ -9,7 +9,7 @@ direction pays for more than a range of 300 standard deviations.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .columns import Column
 from .parts import Setting
-from .system import Whitener
+from .system import Whitener, factored, with_priors
 
 __all__ = ["Candidate", "Screened", "Screener", "worth"]
 
@@ -123,15 +123,9 @@ class Screener:
         self._whitener, self._count = whitener, len(target)
         self._healthy = {c.name.split(".")[0] for c in nuisances}
         design = whitener.design(nuisances, self._count)
-        prior = np.array([c.prior_sd for c in nuisances])
-        held = np.isfinite(prior)
-        rows = np.zeros((int(held.sum()), len(nuisances)))
-        rows[np.arange(rows.shape[0]), np.flatnonzero(held)] = 1.0 / prior[held]
-        full = np.vstack([design, rows])
-        scale = np.linalg.norm(full, axis=0)
-        u, s, _ = np.linalg.svd(full / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-        self._basis = u[:, s > 1e-9 * s[0]]
-        self._pad = rows.shape[0]
+        full = with_priors(nuisances, design)
+        self._basis = factored(full)[0]
+        self._pad = full.shape[0] - design.shape[0]
         self.rows = design.shape[0]
         whole = np.concatenate([whitener.rows(target), np.zeros(self._pad)])
         self.left = whole - self._basis @ (self._basis.T @ whole)
@@ -145,12 +139,25 @@ class Screener:
 
     def cleaned(self, whitened: FloatArray) -> FloatArray:
         """Whitened columns, shape (rows, k), with the nuisances taken out: rows of their priors added."""
-        raw = np.vstack([whitened, np.zeros((self._pad, whitened.shape[1]))])
-        return np.asarray(raw - self._basis @ (self._basis.T @ raw))
+        left = -self._basis @ (self._basis[: self.rows].T @ whitened)
+        left[: self.rows] += whitened
+        return np.asarray(left)
 
     def screen(self, candidate: Candidate) -> Screened | None:
         """What a candidate explains; nothing when no recording holds it or the nuisances imitate all of it."""
-        clean, norms = self.projected(candidate.columns)
+        return self._judged(candidate, *self.projected(candidate.columns))
+
+    def screened(self, candidates: Iterable[Candidate]) -> list[Screened]:
+        """What each of many explains, without those that explain nothing: in one product, which takes a fraction of the time."""
+        of_all = list(candidates)
+        if not of_all:
+            return []
+        clean, norms = self.projected([column for c in of_all for column in c.columns])
+        ends = np.cumsum([len(c.columns) for c in of_all])[:-1]
+        parts = zip(of_all, np.split(clean, ends, axis=1), np.split(norms, ends), strict=True)
+        return [found for each in parts if (found := self._judged(*each)) is not None]
+
+    def _judged(self, candidate: Candidate, clean: FloatArray, norms: FloatArray) -> Screened | None:
         used = norms > 0.0
         if not used.any():
             return None

@@ -111,13 +111,11 @@ def _ranked(model: CampaignModel, chosen: Sequence[Candidate], only: Sequence[st
     screener = model.screener_with(chosen)
     taken = with_twins(c.name for c in chosen)
     pool = {n: c for n, c in model.candidates.items() if n not in taken and (only is None or n in only)}
-    singles = {name: best for name, candidates in pool.items() if (best := _best_physical(screener, candidates)) is not None}
-    return sorted(singles.values(), key=lambda s: -s.log_evidence)
-
-
-def _best_physical(screener, candidates: Sequence[Candidate]) -> Screened | None:  # type: ignore[no-untyped-def]
-    found = [s for c in candidates if (s := screener.screen(c)) is not None and physical(s)]
-    return max(found, key=lambda s: s.log_evidence) if found else None
+    best: dict[str, Screened] = {}
+    for s in screener.screened(c for candidates in pool.values() for c in candidates):
+        if physical(s) and (s.name not in best or s.log_evidence > best[s.name].log_evidence):
+            best[s.name] = s
+    return sorted(best.values(), key=lambda s: -s.log_evidence)
 
 
 def _enough(found: Screened, largest: float = 0.0) -> bool:
@@ -183,7 +181,7 @@ def _named_all_the_same(
     if best is None or not unnamed_counts(best, effects) or len(chosen) >= _MOST_EFFECTS:
         return chosen, effects
     taken = with_twins(c.name for c in chosen)
-    tried = [s for n, cs in model.candidates.items() if n not in taken for c in cs if (s := screener.screen(c)) is not None and physical(s)]
+    tried = [s for s in screener.screened(c for n, cs in model.candidates.items() if n not in taken for c in cs) if physical(s)]
     named = max(tried, key=lambda s: worth_of(s, own_directions(s)), default=None)
     if named is None or worth_of(named, own_directions(named)) < worth_of(best) - _ALIKE or not seen_at_rest(model, effects, named):
         return chosen, effects
@@ -245,7 +243,7 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     screener = model.screener_with(chosen)
     near = [s for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
     refined = [_refined(model, screener, s.candidate) for s in near]
-    found = [s for c in refined if (s := screener.screen(c)) is not None]
+    found = screener.screened(refined)
     tried = {s.name for s in near}
     counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s.name not in tried] + found
     unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]

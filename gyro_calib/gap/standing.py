@@ -49,7 +49,7 @@ def standings(model: CampaignModel, selection: Selection, without: Sequence[str]
 
 
 def _best(model: CampaignModel, screener, name: str) -> Screened | None:  # type: ignore[no-untyped-def]
-    found = [s for c in model.candidates.get(name, ()) if (s := screener.screen(c)) is not None]
+    found = screener.screened(model.candidates.get(name, ()))
     # the setting at which it is seen best
     return min(found, key=lambda s: float(np.min(s.sd / s.candidate.prior_sd))) if found else None
 

@@ -115,7 +115,8 @@ def _unnamed(model: CampaignModel, screener: Screener) -> list[tuple[Screened, A
 
 def bank_terms(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
     """Unnamed terms beside what a screener holds; those that go with time if they are no 1/f floor."""
-    found = [(s, a) for a, c in model.bank if (s := screener.screen(c)) is not None]
+    terms = {id(c): a for a, c in model.bank}
+    found = [(s, terms[id(s.candidate)]) for s in screener.screened(c for _, c in model.bank)]
     return [(s, a) for s, a in found if a.depends_on != "time" or _is_no_floor(s)]
 
 

@@ -7,18 +7,21 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from .columns import Column
 from .evidence import CHANNELS, CampaignEvidence
 from .noise_law import NoiseLaw
 
-__all__ = ["NoiseByRole", "Solution", "Whitener", "solve"]
+__all__ = ["NoiseByRole", "Solution", "Whitener", "factored", "solve", "with_priors"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: (role, channel) -> density
 NoiseByRole = Mapping[tuple[str, str], NoiseLaw]
+#: of the largest singular value: what is below is no direction of its own
+_ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class Whitener:
         if fresh:
             block = self.rows([np.stack([c.signal[k] for c in fresh], axis=1) for k in range(count)])
             self._known.update({id(c): (c, column) for c, column in zip(fresh, block.T.copy(), strict=True)})
-        return np.stack([self._known[id(c)][1] for c in columns], axis=1)
+        return np.stack([self._known[id(c)][1] for c in columns]).T
 
 
 @dataclass(frozen=True)
@@ -118,20 +121,36 @@ def _inverse(factor: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(factor), dtype=np.float64)
 
 
-def solve(columns: Sequence[Column], design: FloatArray, target: FloatArray) -> Solution:
-    """Least squares with the columns' priors; directions that nothing tells are left at zero."""
+def with_priors(columns: Sequence[Column], design: FloatArray) -> FloatArray:
+    """The design with a row for each finite prior below it: a size of zero, seen with the prior's standard deviation."""
     prior = np.array([c.prior_sd for c in columns])
     held = np.isfinite(prior)
     rows = np.zeros((int(held.sum()), len(columns)))
     rows[np.arange(rows.shape[0]), np.flatnonzero(held)] = 1.0 / prior[held]
-    full = np.vstack([design, rows])
+    return np.vstack([design, rows])
+
+
+def factored(full: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal columns (n, r) that span a matrix (n, k), and (k, r) what makes least-squares values of products with them.
+
+    Columns that are nearly others' leave r < k; the values are then the least ones, each in its column's norm.
+    """
     scale = np.linalg.norm(full, axis=0)
     scale[scale == 0.0] = 1.0
-    u, s, vt = np.linalg.svd(full / scale, full_matrices=False)
-    kept = s > 1e-9 * s[0]
-    inverse = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)
-    whole = np.concatenate([target, np.zeros(rows.shape[0])])
-    values = (vt.T @ (inverse * (u.T @ whole))) / scale
-    covariance = (vt.T * inverse**2) @ vt / np.outer(scale, scale)
+    q, r = scipy.linalg.qr(full / scale, mode="economic", check_finite=False)
+    # a triangle costs a third of singular values: these are asked only where columns are nearly alike
+    if r.shape[0] == r.shape[1] and scipy.linalg.lapack.dtrcon(r)[0] > _ALIKE:
+        return q, scipy.linalg.lapack.dtrtri(r)[0] / scale[:, None]
+    u, s, vt = np.linalg.svd(r, full_matrices=False)
+    kept = s > _ALIKE * s[0]
+    return q @ u[:, kept], vt[kept].T / s[kept] / scale[:, None]
+
+
+def solve(columns: Sequence[Column], design: FloatArray, target: FloatArray) -> Solution:
+    """Least squares with the columns' priors; directions that nothing tells are left at zero."""
+    full = with_priors(columns, design)
+    basis, factor = factored(full)
+    whole = np.concatenate([target, np.zeros(full.shape[0] - target.size)])
+    values = factor @ (basis.T @ whole)
     left = whole - full @ values
-    return Solution(tuple(columns), values, covariance, left[: target.size], float(left @ left), u[: target.size, kept])
+    return Solution(tuple(columns), values, factor @ factor.T, left[: target.size], float(left @ left), basis[: target.size])
