@@ -24,6 +24,7 @@ from gyro_calib.gap.candidates import registry_name
 from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.relinearise import relinearised
+from gyro_calib.gap.select import _refined
 from gyro_calib.gap.system import NoiseByRole
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
@@ -66,12 +67,13 @@ def weighed(unit: Unit, noise: NoiseByRole, job: tuple[str, Sizes]) -> str:
     if not name:
         return f"{'healthy':30s} {'':>12s} {model.screener.chi2:10.1f} {model.screener.dof:6d}"
     variants = [c for c in model.candidates[reported_name(name)] if registry_name(c.name, c.setting) == name]
-    found = [s for c in variants if (s := model.screener.screen(c)) is not None]
-    chosen = relinearised(model, [max(found, key=lambda s: s.gain).candidate])
-    fit = model.fitted(chosen)
-    sd = np.sqrt(np.diag(fit.covariance))
-    places = {c.name.partition(".")[2]: k for k, c in enumerate(fit.columns) if c.name.startswith(f"{chosen[0].name}.")}
-    off = [abs(fit.values[k] - sizes[parameter]) / sd[k] for parameter, k in places.items() if parameter in sizes]
+    loudest = max(model.screener.screened(variants), key=lambda s: s.gain)
+    (chosen,) = relinearised(model, [_refined(model, model.screener, loudest.candidate)])
+    fit = model.fitted([chosen])
+    # beside what a healthy device has of the same: the fit gives it all to the effect
+    found = model.screener.screen(chosen)
+    told = found.sizes() if found is not None else {}
+    off = [abs(told[parameter][0] - size) / told[parameter][1] for parameter, size in sizes.items() if parameter in told]
     left = float(fit.residual @ fit.residual)
     return f"{name:30s} {model.screener.chi2:12.1f} {left:10.1f} {fit.residual.size:6d} {max(off, default=math.nan):8.1f}"
 
