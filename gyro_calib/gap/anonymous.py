@@ -135,6 +135,7 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
         lambda s, x: _axis(np.abs(x[:, ::-1]) ** 2 * x, 0),
         lambda s, x: _axis(np.abs(x[:, ::-1]) ** 2 * x, 1),
     ],
+    ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: _norm(s.pick) ** 2),
     ("|x|^4 x", "amplitude"): [lambda s, x: _norm(x) ** 4 * x],
     ("x/|x|", "amplitude"): [lambda s, x: x / (_norm(x) + 1e-9)],
     ("x*", "phase reference"): [lambda s, x: x.conj()],
@@ -155,6 +156,7 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("a constant", "reference"): [lambda s, x, c=c: float(s.recording.command.mode != "loops_off") * c(x) for c in _CONSTANTS],  # type: ignore[misc]
     ("a constant, also in open drive", "reference"): [lambda s, x, c=c: c(x) for c in _CONSTANTS],  # type: ignore[misc]
     ("|u|^2 x, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * x],
+    ("|u|^2 x, u the drives, crossed", "drive"): _crossed(lambda s: _norm(s.drive) ** 2),
     **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 3.0)),
     **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 15.0)),
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
@@ -171,7 +173,10 @@ _FED: dict[tuple[str, str], list[Monomial]] = {
     ("t u, u the drives", "time"): [lambda s, x: s.time_s[:, None] * s.drive],
 }
 #: terms that only tell anything new of a signal other than their own
-_OF_DRIVE, _OF_MOTION = ("|u|^2 x, u the drives", "u_x u_y x on the other axis, u the drives"), ("|p_j|^2 x_j, p the motion",)
+_OF_DRIVE = ("|u|^2 x, u the drives", "|u|^2 x, u the drives, crossed", "u_x u_y x on the other axis, u the drives")
+_OF_MOTION = ("|p_j|^2 x_j, p the motion",)
+#: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis
+_OF_FLOW = ("|x|^2 x, crossed",)
 #: effects of a level, tried with any share of what lies beyond it: a knee that is soft
 _KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}
 _KNEE_STEP = 2
@@ -199,7 +204,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
         for (text, depends), monomials in _MONOMIALS.items():
             if text in _TURNING and not evidence.turns:
                 continue
-            if (text in _OF_DRIVE and kind == "drive") or (text in _OF_MOTION and kind != "drive"):
+            if (text in _OF_DRIVE and kind == "drive") or (text in _OF_MOTION and kind != "drive") or (text in _OF_FLOW and kind != "flow"):
                 continue
             if kind == "output" and depends in _NOT_READ and text not in _READ:
                 continue

@@ -101,9 +101,7 @@ def _at(model: CampaignModel, screener: Screener, e: Screened, key: str, value: 
 def _rough_sd(model: CampaignModel, e: Screened, key: str) -> float:
     """Half of the span of the settings of the grid that explain nearly as much."""
     near = [
-        float(s.candidate.setting[key])
-        for s in model.screener.screened(model.candidates[e.name])
-        if s.log_evidence > e.log_evidence - 2.0
+        float(s.candidate.setting[key]) for s in model.screener.screened(model.candidates[e.name]) if s.log_evidence > e.log_evidence - 2.0
     ]
     grid = sorted({float(c.setting[key]) for c in model.candidates[e.name]})
     here = float(e.candidate.setting[key])
