@@ -36,5 +36,5 @@ def looked_at(campaign: Campaign) -> CampaignModel:
 
 def loudest(model: CampaignModel, name: str) -> Screened:
     """An effect at its best setting."""
-    found = [s for c in model.candidates[name] if (s := model.screener.screen(c)) is not None]
+    found = model.screener.screened(model.candidates[name])
     return max(found, key=lambda s: s.log_evidence)
