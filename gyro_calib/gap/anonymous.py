@@ -185,8 +185,9 @@ _KNEE_STEP = 2
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
 _TURNING = ("|x_k|^2 x_j, k the other axis",)
 #: on what no unnamed reading depends: L of a rate that steps is the table's clock and the recorder's filter, a wave held to the
-#: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away
-_NOT_READ = ("rate", "phase reference", "drive", "speed of change")
+#: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away;
+#: its gain follows a resonator's own millikelvins, and so does the frequency
+_NOT_READ = ("rate", "phase reference", "drive", "speed of change", "frequency")
 _PHASES, _ANY_PHASE = (("in phase", 1.0 + 0j), ("in quadrature", 1j)), (("of any phase", 1.0 + 0j),)
 #: but for what goes with squares: no clock of a table that turns both ways imitates that of its rate, no noise that of the drives
 _READ = ("Omega^2 x", "|u|^2 x, u the drives")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
+from .images import image_columns
 from .linear_device import ROW_MOMENT, collected, span_k
 from .parts import Linear, Part, read_at_once, turned
 from .signals import SMOOTH_S
@@ -119,6 +120,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     columns += _blurred_records(evidence, linear)
     columns += _kicks(evidence, linear)
     columns += _in_stiffness_control(evidence, linear)
+    columns += image_columns(evidence, linear)
     if span_k(evidence) < NOTICED_K:
         return columns
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})

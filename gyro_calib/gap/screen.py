@@ -128,7 +128,7 @@ class Screener:
         self._pad = full.shape[0] - design.shape[0]
         self.rows = design.shape[0]
         whole = np.concatenate([whitener.rows(target), np.zeros(self._pad)])
-        self.left = whole - self._basis @ (self._basis.T @ whole)
+        self.left = whole - self.imitated(whole)
         self.chi2 = float(self.left @ self.left)
         self.dof = self.rows + self._pad - self._basis.shape[1]
 
@@ -136,6 +136,10 @@ class Screener:
         """Whitened columns with the nuisances taken out, and their norms before."""
         raw = self._whitener.design(columns, self._count)
         return self.cleaned(raw), np.linalg.norm(raw, axis=0)
+
+    def imitated(self, whole: FloatArray) -> FloatArray:
+        """What the nuisances make of equations with their priors below, shape (n,)."""
+        return np.asarray(self._basis @ (self._basis.T @ whole))
 
     def cleaned(self, whitened: FloatArray) -> FloatArray:
         """Whitened columns, shape (rows, k), with the nuisances taken out: rows of their priors added."""

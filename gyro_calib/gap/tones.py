@@ -19,7 +19,7 @@ from ..recording.recording import Recording
 from .parts import Linear
 from .spectra import PickSpectrum, detrended, steep_window
 
-__all__ = ["Tone", "find_tone"]
+__all__ = ["RATES_HZ", "Tone", "find_tone"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,7 +32,7 @@ _SHOWN, _FEWEST = 8.0, 2
 #: nearer to the carrier than this the loops mirror a tone, and it is not told from a hum [Hz]
 _MIRRORED_HZ = 20.0
 #: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz], and [bins]
-_RATES_HZ, _IMAGED, _SAME_HZ, _SKIRT_BINS = 100.0, 5, 0.15, 3.0
+RATES_HZ, _IMAGED, _SAME_HZ, _SKIRT_BINS = 100.0, 5, 0.15, 3.0
 #: least power of one side band over the other's for both to be those of a hum
 _EVEN = 0.25
 
@@ -118,7 +118,7 @@ def _is_image(s: PickSpectrum, away_hz: float) -> bool:
     near = max(_SAME_HZ, _SKIRT_BINS * s.bin_hz)
     for k in range(-_IMAGED, _IMAGED + 1):
         rate = s.carrier_hz + away_hz - k * s.carrier_hz
-        if k != 1 and abs(rate - _RATES_HZ * round(rate / _RATES_HZ)) < near:
+        if k != 1 and abs(rate - RATES_HZ * round(rate / RATES_HZ)) < near:
             return True
     return False
 

@@ -1,0 +1,116 @@
+"""How often an effect is found and named if nothing but white noise stands in the way: the bound on any diagnosis of such a campaign.
+
+python benchmarks/identifiable.py [--kind ring hemisphere] [--snr 8 12] [--draws 20] [--units 1] [--seed 4242] [--jobs 2]
+
+Each effect at a size that `gyro-calib blind-trial` would draw, in its own linear form, beside the nuisances of a clean campaign whose noise
+is taken as known; what is drawn again and again is the white noise and the nuisances' own sizes. An effect is found when its evidence
+counts, and right when the group of the best name holds it, by the rules of the diagnosis. What a real campaign adds is left out: noise that
+must be measured, floors whose size must be, what the linear form leaves. A share below a gate's is then the campaign's, not the code's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import functools
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+from noise_free import looked_at
+
+from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.screen import Screened, Screener
+from gyro_calib.gap.select import _ALIKE, _CLOSE, _enough, physical
+from gyro_calib.gap.strangers import MARGIN
+from gyro_calib.trial.labels import reported_name, trial_effects
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.sizing import Sized, imitators, size_effect
+from gyro_calib.trial.trial import LIKE
+from gyro_calib.trial.units import draw_trial_unit
+
+
+@functools.cache
+def clean(kind: str, seed: int, number: int) -> CampaignModel:
+    """The model of a clean campaign, as a trial's sizes are read from."""
+    unit = draw_trial_unit(kind, seed, number)
+    rng = np.random.default_rng([0xC1EA, seed, number, int(kind == "ring")])
+    return looked_at(record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "standard"), {}, rng))
+
+
+def drawn(screener: Screener, signal: np.ndarray, rng: np.random.Generator) -> Screener:
+    """The same equations with a signal and noise of their own: the nuisances' rows of their priors hold their sizes."""
+    again = copy.copy(screener)
+    noise = rng.standard_normal(signal.size)
+    again.left = signal + noise - screener.imitated(noise)
+    return again
+
+
+def best_of_each(model: CampaignModel, screener: Screener) -> list[Screened]:
+    """Every name at its best setting, the best name first."""
+    best: dict[str, Screened] = {}
+    for s in screener.screened(c for tried in model.candidates.values() for c in tried):
+        if physical(s) and (s.name not in best or s.log_evidence > best[s.name].log_evidence):
+            best[s.name] = s
+    return sorted(best.values(), key=lambda s: -s.log_evidence)
+
+
+def named(ranked: list[Screened], names: set[str]) -> bool:
+    """Whether the group of the best holds one of these names."""
+    first, least = ranked[0], max(ranked[0].log_evidence - _ALIKE, 0.0)
+    return any(s.log_evidence > least or (s.gain > first.gain - _CLOSE and s.log_evidence > MARGIN) for s in ranked if s.name in names)
+
+
+def shares(draws: int, job: tuple[str, int, int, str, float]) -> tuple[str, str, float, int, int]:
+    """Of how many draws of an effect it is found, and right."""
+    kind, seed, number, name, snr = job
+    model, rng = clean(kind, seed, number), np.random.default_rng([seed, number, round(snr)])
+    sized: Sized | None = size_effect(model, name, snr, rng)
+    if sized is None:
+        return kind, name, snr, -1, 0
+    # as in a blind trial: what no campaign tells from the truth is right, too
+    names = {reported_name(name), *(other for other, left in imitators(model, sized).items() if left < LIKE)}
+    found = right = 0
+    for _ in range(draws):
+        ranked = best_of_each(model, drawn(model.screener, sized.signal, rng))
+        if ranked and _enough(ranked[0]):
+            found += 1
+            right += named(ranked, names)
+    return kind, name, snr, found, right
+
+
+def main() -> None:
+    """A line for every effect that falls short, and the shares of all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kind", nargs="+", choices=("ring", "hemisphere"), default=["ring", "hemisphere"])
+    parser.add_argument("--snr", nargs="+", type=float, default=[8.0, 12.0])
+    parser.add_argument("--draws", type=int, default=20)
+    parser.add_argument("--units", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=4242)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    jobs = [
+        (kind, options.seed, number, name, snr)
+        for kind in options.kind
+        for number in range(options.units)
+        for name in trial_effects(draw_trial_unit(kind, options.seed, number).mode)
+        for snr in options.snr
+    ]
+    total: dict[tuple[str, float], list[tuple[int, int]]] = {}
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for kind, name, snr, found, right in pool.map(functools.partial(shares, options.draws), jobs, chunksize=8):
+            if found < 0:
+                continue
+            total.setdefault((kind, snr), []).append((found, right))
+            if right < 0.95 * options.draws:
+                print(
+                    f"{kind:10s} {name:30s} SNR {snr:4.0f}  found {found / options.draws:.2f}  named right {right / options.draws:.2f}",
+                    flush=True,
+                )
+    for (kind, snr), counts in sorted(total.items()):
+        found, right = np.sum(counts, axis=0) / (len(counts) * options.draws)
+        print(f"{kind:10s} all {len(counts)} effects, SNR {snr:4.0f}: found {found:.3f}, named right {right:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""The image of a held voltage that stands still beside a resonance, against converters' samples."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gyro_calib.gap.images import _mirror
+from gyro_calib.gap.signals import Signals
+
+SAMPLE_HZ, HELD, ROW, SPAN_S = 240_000, 24, 480, 4.0
+CARRIER_HZ, MODULATION_HZ = 14_999.986, 1.5
+
+
+def line(x: NDArray[np.complex128], step_s: float, frequency_hz: float) -> complex:
+    """Amplitude of a line through a window that leaves nothing of the others."""
+    t, weight = np.arange(len(x)) * step_s, np.blackman(len(x))
+    return complex(np.sum(x * weight * np.exp(-2j * np.pi * frequency_hz * t)) / weight.sum())
+
+
+def mirror_of(carrier_hz: float) -> NDArray[np.complex128] | None:
+    row_s = ROW / SAMPLE_HZ
+    rows = round(SPAN_S / row_s)
+    return _mirror(cast(Signals, SimpleNamespace(omega_rad_s=np.full(rows, 2.0 * np.pi * carrier_hz), row_s=row_s)))
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_held_side_band_has_its_mirror_at_the_carrier(held: bool) -> None:
+    t = np.arange(round(SPAN_S * SAMPLE_HZ)) / SAMPLE_HZ
+    u = np.exp(2j * np.pi * MODULATION_HZ * (t - t % (HELD / SAMPLE_HZ) if held else t))
+    volts = (u * np.exp(2j * np.pi * CARRIER_HZ * t)).real
+    # but for what is wanted
+    seen = 2.0 * volts * np.exp(-2j * np.pi * CARRIER_HZ * t) - u
+    # against the carrier the conjugate turns with twice the distance from half the loops' rate
+    away_hz = 30_000.0 - 2.0 * CARRIER_HZ - MODULATION_HZ
+    found = line(seen, 1.0 / SAMPLE_HZ, away_hz)
+    mirror = mirror_of(CARRIER_HZ)
+    assert mirror is not None
+    row_s = ROW / SAMPLE_HZ
+    rows = np.exp(2j * np.pi * MODULATION_HZ * np.arange(len(mirror)) * row_s)
+    told = line(mirror[:, 0] * np.gradient(rows, row_s).conj(), row_s, away_hz)
+    assert abs(told) == pytest.approx(MODULATION_HZ / (2.0 * CARRIER_HZ), rel=1e-3)
+    # of 24 samples each, where the formula has continuous holds
+    assert abs(found) == pytest.approx(abs(told) if held else 0.0, rel=0.03, abs=1e-7)
+
+
+def test_an_image_that_moves_away_has_no_columns() -> None:
+    assert mirror_of(15_000.1) is not None
+    assert mirror_of(15_000.2) is None
+    assert mirror_of(14_971.3) is None
