@@ -1,11 +1,12 @@
-"""How often an effect is found and named if nothing but white noise stands in the way: the bound on any diagnosis of such a campaign.
+"""How often an effect is found and named in one step if nothing but white noise stands in the way.
 
 python benchmarks/identifiable.py [--kind ring hemisphere] [--snr 8 12] [--draws 20] [--units 1] [--seed 4242] [--jobs 2]
 
 Each effect at a size that `gyro-calib blind-trial` would draw, in its own linear form, beside the nuisances of a clean campaign whose noise
-is taken as known; what is drawn again and again is the white noise and the nuisances' own sizes. An effect is found when its evidence
-counts, and right when the group of the best name holds it, by the rules of the diagnosis. What a real campaign adds is left out: noise that
-must be measured, floors whose size must be, what the linear form leaves. A share below a gate's is then the campaign's, not the code's.
+is taken as known; what is drawn again and again is the white noise and the nuisances' own sizes. An effect is found when its evidence on
+the grid of its settings counts, and right when the group of the best name holds it. Left out is what a real campaign adds (noise that must
+be measured, floors whose size must be, what the linear form leaves) and what the diagnosis does besides: settings between the grid's
+points, pairs when none shows alone, a name where an unnamed term would be taken. So it is a reference, no bound.
 """
 
 from __future__ import annotations
@@ -16,26 +17,14 @@ import functools
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
-from noise_free import looked_at
 
-from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Screened, Screener
-from gyro_calib.gap.select import _ALIKE, _CLOSE, _enough, physical
+from gyro_calib.gap.select import _ALIKE, _CLOSE, _enough, best_of_each
 from gyro_calib.gap.strangers import MARGIN
 from gyro_calib.trial.labels import reported_name, trial_effects
-from gyro_calib.trial.plans import campaign_plan
-from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.sizing import Sized, imitators, size_effect
-from gyro_calib.trial.trial import LIKE
+from gyro_calib.trial.trial import LIKE, _reference
 from gyro_calib.trial.units import draw_trial_unit
-
-
-@functools.cache
-def clean(kind: str, seed: int, number: int) -> CampaignModel:
-    """The model of a clean campaign, as a trial's sizes are read from."""
-    unit = draw_trial_unit(kind, seed, number)
-    rng = np.random.default_rng([0xC1EA, seed, number, int(kind == "ring")])
-    return looked_at(record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "standard"), {}, rng))
 
 
 def drawn(screener: Screener, signal: np.ndarray, rng: np.random.Generator) -> Screener:
@@ -44,15 +33,6 @@ def drawn(screener: Screener, signal: np.ndarray, rng: np.random.Generator) -> S
     noise = rng.standard_normal(signal.size)
     again.left = signal + noise - screener.imitated(noise)
     return again
-
-
-def best_of_each(model: CampaignModel, screener: Screener) -> list[Screened]:
-    """Every name at its best setting, the best name first."""
-    best: dict[str, Screened] = {}
-    for s in screener.screened(c for tried in model.candidates.values() for c in tried):
-        if physical(s) and (s.name not in best or s.log_evidence > best[s.name].log_evidence):
-            best[s.name] = s
-    return sorted(best.values(), key=lambda s: -s.log_evidence)
 
 
 def named(ranked: list[Screened], names: set[str]) -> bool:
@@ -64,7 +44,7 @@ def named(ranked: list[Screened], names: set[str]) -> bool:
 def shares(draws: int, job: tuple[str, int, int, str, float]) -> tuple[str, str, float, int, int]:
     """Of how many draws of an effect it is found, and right."""
     kind, seed, number, name, snr = job
-    model, rng = clean(kind, seed, number), np.random.default_rng([seed, number, round(snr)])
+    model, rng = _reference(kind, seed, number, "standard"), np.random.default_rng([seed, number, round(snr)])
     sized: Sized | None = size_effect(model, name, snr, rng)
     if sized is None:
         return kind, name, snr, -1, 0
@@ -72,7 +52,7 @@ def shares(draws: int, job: tuple[str, int, int, str, float]) -> tuple[str, str,
     names = {reported_name(name), *(other for other, left in imitators(model, sized).items() if left < LIKE)}
     found = right = 0
     for _ in range(draws):
-        ranked = best_of_each(model, drawn(model.screener, sized.signal, rng))
+        ranked = best_of_each(drawn(model.screener, sized.signal, rng), model.candidates)
         if ranked and _enough(ranked[0]):
             found += 1
             right += named(ranked, names)

@@ -1,6 +1,6 @@
 """What the form of every effect leaves of a campaign without noise, weighed with the noise of one that has it: the model's own errors.
 
-python benchmarks/noise_free.py --kind hemisphere [--seed 4242] [--snr 24] [--jobs 2] [--only NAME …]
+python benchmarks/noise_free.py --kind hemisphere [--seed 4242] [--unit 0] [--snr 24] [--jobs 2] [--only NAME …]
 
 A line per effect: chi-square that the healthy device leaves, that the device with the effect leaves, degrees of freedom, and the largest
 distance of a size from the truth in its standard deviations. The effect is given, not found. What multiplexed drives or levels make of an
@@ -21,26 +21,19 @@ import numpy as np
 import gyro_calib.gap.model as gap_model
 from gyro_calib.experiments import SimulatedInstrument, run_plan
 from gyro_calib.gap.candidates import registry_name
-from gyro_calib.gap.model import CampaignModel, look_at
-from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.gap.select import _refined
 from gyro_calib.gap.system import NoiseByRole
-from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
 from gyro_calib.trial.labels import reported_name, trial_effects
 from gyro_calib.trial.plans import campaign_plan
-from gyro_calib.trial.plant import record_unit, with_effects
+from gyro_calib.trial.plant import with_effects
 from gyro_calib.trial.sizing import size_effect
+from gyro_calib.trial.trial import _look, _reference
 from gyro_calib.trial.units import Unit, draw_trial_unit
 
 Sizes = dict[str, float]
-
-
-def looked_at(campaign: Campaign) -> CampaignModel:
-    """The model of a campaign."""
-    f = campaign.factory
-    return look_at(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
 
 
 def without_noise(unit: Unit, effects: dict[str, Sizes], noise: NoiseByRole) -> CampaignModel:
@@ -57,7 +50,7 @@ def without_noise(unit: Unit, effects: dict[str, Sizes], noise: NoiseByRole) -> 
         mock.patch.object(gap_model, "measured_noise", return_value=(noise, {})),
         mock.patch.object(gap_model, "with_repeats", lambda evidence, columns, known, *_: known),
     ):
-        return looked_at(campaign)
+        return _look(campaign)
 
 
 def weighed(unit: Unit, noise: NoiseByRole, job: tuple[str, Sizes]) -> str:
@@ -83,13 +76,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kind", choices=("ring", "hemisphere"), default="hemisphere")
     parser.add_argument("--seed", type=int, default=4242)
+    parser.add_argument("--unit", type=int, default=0, help="number of the unit that the seed draws")
     parser.add_argument("--snr", type=float, default=24.0, help="effective signal-to-noise ratio that sets the sizes")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", nargs="+", metavar="NAME")
     options = parser.parse_args()
-    unit = draw_trial_unit(options.kind, options.seed, 0)
-    rng = np.random.default_rng([0xC1EA, options.seed, 0, int(options.kind == "ring")])
-    clean = looked_at(record_unit(unit, campaign_plan(unit.kind, unit.device.factory(), rng, "standard"), {}, rng))
+    unit = draw_trial_unit(options.kind, options.seed, options.unit)
+    clean = _reference(options.kind, options.seed, options.unit, "standard")
     names = options.only or trial_effects(unit.mode)
     sized = {name: size_effect(clean, name, options.snr, np.random.default_rng(5)) for name in names}
     jobs = [("", {}), *((name, dict(s.sizes)) for name, s in sized.items() if s is not None)]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from table_samples import looked_at
 
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap.images import _mirror
 from gyro_calib.gap.signals import Signals
+from gyro_calib.simulation import GyroSimulator
 
 SAMPLE_HZ, HELD, ROW, SPAN_S = 240_000, 24, 480, 4.0
 CARRIER_HZ, MODULATION_HZ = 14_999.986, 1.5
@@ -52,3 +57,22 @@ def test_an_image_that_moves_away_has_no_columns() -> None:
     assert mirror_of(15_000.1) is not None
     assert mirror_of(15_000.2) is None
     assert mirror_of(14_971.3) is None
+
+
+def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
+    """A quiet ring at half of three times its loops' rate, sample by sample; a phase depends on where its record begins."""
+    device = draw_unit(load_device("ring_15k"), 5)
+    device = replace(
+        device,
+        resonator=replace(device.resonator, frequency_hz=CARRIER_HZ),
+        noise=replace(device.noise, pickoff_v_rthz=2e-8, drive_v_rthz=2e-8, drive_flicker_v=0.0, thermomechanical=False),
+    )
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"))
+    model = looked_at(run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick")))
+    places = [k for k, c in enumerate(model.base.columns) if c.name.startswith("image_")]
+    excited = [r.index for r in model.evidence if r.is_wave and r.recording.command.excitation.kind != "none"]
+    assert [model.base.columns[k].name for k in places] == [f"image_{i}_{part}" for i in excited for part in ("re", "im")]
+    values, covariance = model.base.values[places].reshape(-1, 2), model.base.covariance[np.ix_(places, places)]
+    sizes, sds = np.linalg.norm(values, axis=1), np.sqrt(np.diag(covariance)).reshape(-1, 2).max(axis=1)
+    assert np.all(np.abs(sizes - 1.0) < 3.0 * sds)
+    assert np.average(sizes, weights=sds**-2.0) == pytest.approx(1.0, abs=0.25)

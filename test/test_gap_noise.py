@@ -37,8 +37,8 @@ def looked_at(kind: str, sizes: Mapping[str, Mapping[str, float]], without: tupl
 
 
 @cache
-def healthy() -> CampaignModel:
-    return looked_at("hemisphere", {})
+def healthy(kind: str) -> CampaignModel:
+    return looked_at(kind, {})
 
 
 def by_time(model: CampaignModel, name: str) -> dict[float, NDArray[np.float64]]:
@@ -49,7 +49,7 @@ def by_time(model: CampaignModel, name: str) -> dict[float, NDArray[np.float64]]
 
 def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
     """A memory of the pick-offs against the same of the drives: what is left of both is far below either, where no table turns the wave."""
-    model = healthy()
+    model = healthy("hemisphere")
     for name, twin in (("pickoff_memory", "drive_memory"), ("pickoff_lag", "drive_lag")):
         of_pick, of_drive = (by_time(model, n) for n in (name, twin))
         shared = of_pick.keys() & of_drive.keys()
@@ -60,7 +60,7 @@ def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
 
 
 def test_of_twins_the_noise_is_measured_beside_one() -> None:
-    model = looked_at("ring", {})
+    model = healthy("ring")
     names = {c.name.split(".")[0] for c in saturated_columns(model.evidence, model.linear, [], model.candidates, [])}
     assert {"drive_memory", "drive_lag"} <= names
     assert not {"pickoff_memory", "pickoff_lag"} & names
@@ -81,7 +81,7 @@ def test_no_kind_of_record_is_silenced_before_it_was_heard() -> None:
 
 def test_the_pickoffs_of_a_hemisphere_are_as_quiet_in_a_ring_down() -> None:
     """One pair of pick-offs: their noise does not depend on what the wave does. It was taken for a thousand times as much."""
-    noise = healthy().noise
+    noise = healthy("hemisphere").noise
     kinds = [noise[role, "amplitude"].coefficients[PICKOFF] for role in ("ring", "free", "precession")]
     assert max(kinds) < 10.0 * min(kinds)
 
@@ -122,7 +122,7 @@ def test_a_hemisphere_s_duffing_is_known_by_its_pickoffs_phases() -> None:
 
 def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_record() -> None:
     """A thermometer's drift stood in the walk of the frequency's noise, and a healthy ring aged by five standard deviations."""
-    model = healthy()
+    model = healthy("ring")
     steady, warming = NoiseLaw((1.0, 2.0, 3.0, 4.0), mean=5.0), NoiseLaw((9.0, 0.0, 0.0, 7.0))
     assert _wandering_all_the_same({STEADY: steady, WARMING: warming})[WARMING] == NoiseLaw((9.0, 2.0, 0.0, 7.0), mean=5.0)
     assert _wandering_all_the_same({STEADY: steady}) == {STEADY: steady}
@@ -137,7 +137,7 @@ def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_
 
 def test_noise_is_not_explained_away() -> None:
     """Columns that hold the noise itself, as a loop's own law does: what is believed stays near what a model without effects leaves."""
-    model = healthy()
+    model = healthy("ring")
     e, gain = model.evidence, model.linear.angular_gain
     plain = list(model.nuisances)
     base = model.base.values
@@ -159,7 +159,7 @@ def test_noise_is_not_explained_away() -> None:
 
 def test_a_limiter_that_could_swallow_a_drive_may_take_but_a_share_of_it() -> None:
     """The rebalance of a still gyro is smaller than many a dead zone on the grid: with all of it gone the loop would be open."""
-    model = healthy()
+    model = healthy("ring")
     tried = {name: model.candidates[name] for name in ("drive_dead_zone", "drive_saturation")}
     priors = {c.name: c.prior_sd for c in saturated_columns(model.evidence, model.linear, [], tried, [])}
     assert 0.0 < priors["drive_dead_zone.share"] < 0.05
@@ -168,7 +168,7 @@ def test_a_limiter_that_could_swallow_a_drive_may_take_but_a_share_of_it() -> No
 
 def test_what_has_no_name_is_no_noise() -> None:
     """A stiffness that follows the drives, not in the registry: its record's noise is believed to be what it is without the effect."""
-    quiet = healthy()
+    quiet = healthy("hemisphere")
     strange = looked_at("hemisphere", {"drive_stiffness": {"k_x": 5e-5, "k_y": 4e-5}}, without=("drive_stiffness",))
     assert strange.screener.chi2 > quiet.screener.chi2 + 200.0
     for channel in ("amplitude", "precession", "quadrature"):

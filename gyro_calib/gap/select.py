@@ -111,6 +111,11 @@ def _ranked(model: CampaignModel, chosen: Sequence[Candidate], only: Sequence[st
     screener = model.screener_with(chosen)
     taken = with_twins(c.name for c in chosen)
     pool = {n: c for n, c in model.candidates.items() if n not in taken and (only is None or n in only)}
+    return best_of_each(screener, pool)
+
+
+def best_of_each(screener: Screener, pool: Mapping[str, Sequence[Candidate]]) -> list[Screened]:
+    """Every name at the best setting of its grid that can be, the best name first."""
     best: dict[str, Screened] = {}
     for s in screener.screened(c for candidates in pool.values() for c in candidates):
         if physical(s) and (s.name not in best or s.log_evidence > best[s.name].log_evidence):
