@@ -26,7 +26,7 @@ from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import with_temperature
 from gyro_calib.gap.strangers import CHANGES, bank_terms, one_change_of_another_kind, worth_of
 from gyro_calib.gap.system import NoiseByRole, Whitener, solve
-from gyro_calib.gap.thermometer import thermometer_columns
+from gyro_calib.gap.thermometer import own_detuning_rad_s, thermometer_columns
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.simulation import GyroSimulator
@@ -194,6 +194,30 @@ def test_a_thermometer_that_errs_moves_what_follows_the_temperature() -> None:
     assert {c.prior_sd for c in made.values()} == {1e-3}
     known = {c.name for c in [*linear_columns(evidence, linear), *frequency_columns(evidence), *thermal_columns(evidence, linear)]}
     assert not known & set(made)
+
+
+def test_a_resonance_of_its_own_temperature_is_read_from_the_phase_of_its_wave() -> None:
+    """A wave whose phase swings, its drive's with it, has a resonance that swings as fast; without a wave that is held nothing says so."""
+    swing, period_s = 2e-3, 3.0
+    held = next(r for r in usable(clean()) if r.command.mode == "ftr_x" and r.command.excitation.kind == "none" and r.duration_s > 3.0)
+    data, angle = held.data.copy(), 2.0 * np.pi * (held.t - held.t[0]) / period_s
+    turn = np.exp(1j * swing * np.sin(angle))
+    for channel in ("x_pick", "y_pick", "x_drive", "y_drive"):
+        c, s = column_index(f"{channel}_c"), column_index(f"{channel}_s")
+        volts = (data[:, c] + 1j * data[:, s]) * turn
+        data[:, c], data[:, s] = volts.real, volts.imag
+    free = next(r for r in usable(clean()) if r.command.mode == "loops_off")
+    evidence = CampaignEvidence.of([held, replace(held, data=data), free], 1.5)
+    linear = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), dtype=complex), 0.8, -2.5)
+    still, swung, gone = (own_detuning_rad_s(r, linear, {}) for r in evidence)
+    t = evidence.recordings[0].signals.time_s
+    expected = swing * 2.0 * np.pi / period_s * np.cos(2.0 * np.pi * (t - t[0]) / period_s)
+    expected -= expected.mean()
+    # smoothed over 0.4 s; at its ends a record knows half of that
+    expected *= np.sinc(0.4 / period_s)
+    inner = (t - t[0] > 0.3) & (t[-1] - t > 0.3)
+    assert np.abs(swung - still - expected)[inner].max() < 0.05 * np.abs(expected).max()
+    assert not gone.any()
 
 
 def test_what_both_axes_have_alike_is_what_each_has() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,7 +22,9 @@ from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
 from gyro_calib.gap.select import _best_refined, _with_unlike_pickoffs
+from gyro_calib.gap.thermometer import OWN
 from gyro_calib.recording.applied_rate import is_turned
+from gyro_calib.recording.recording import Campaign
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -30,7 +33,10 @@ from gyro_calib.trial.units import draw_trial_unit
 def looked_at(kind: str, sizes: Mapping[str, Mapping[str, float]], without: tuple[str, ...] = ()) -> CampaignModel:
     """A unit that no table turns."""
     unit, rng = draw_trial_unit(kind, 79, 1), np.random.default_rng(1)
-    campaign = record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "quick"), sizes, rng)
+    return look_of(record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "quick"), sizes, rng), without)
+
+
+def look_of(campaign: Campaign, without: tuple[str, ...] = ()) -> CampaignModel:
     f = campaign.factory
     recordings = [r for r in usable(campaign) if not is_turned(r)]
     return look_at(recordings, math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"], without=without)
@@ -133,6 +139,18 @@ def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_
     assert ageing >= 2.9 * wander / span
     lines = model.evidence.recordings[0].lines("amplitude")
     np.testing.assert_allclose(steady.slow(lines), lines.basis()[:, 1::2] @ [2.0, 4.0] + 5.0 * lines.scale * lines.is_mean)
+
+
+def test_a_gain_follows_the_millikelvins_that_no_thermometer_reads() -> None:
+    """By as much as it follows the thermometer when that is warmed: the resonance says how warm it was, on the carrier."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    pickoff, environment = (replace(unit.device.pickoff, gain_tempco_per_k=3e-4), replace(unit.device.environment, wander_k=5e-3))
+    unit = replace(unit, device=replace(unit.device, pickoff=pickoff, environment=environment))
+    fit = look_of(record_unit(unit, campaign_plan(unit.kind, unit.device.factory(), rng, "quick"), {}, rng)).base
+    (own,) = (k for k, c in enumerate(fit.columns) if c.name == OWN)
+    sd = float(np.sqrt(fit.covariance[own, own]))
+    assert sd < 0.3
+    assert abs(fit.values[own] - 1.0) < 3.0 * sd
 
 
 def test_noise_is_not_explained_away() -> None:

@@ -351,7 +351,7 @@ FORMS: dict[str, Form] = {
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
     "thermal_frequency_curvature": _stiffness("k", lambda s: s.temperature_k**2),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
-    "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 11)),
+    "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 17)),
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
     "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),

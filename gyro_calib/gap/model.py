@@ -30,7 +30,7 @@ from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
-from .thermometer import THERMOMETER, thermometer_columns
+from .thermometer import THERMOMETER, own_columns, thermometer_columns
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -157,7 +157,7 @@ def look_at(
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
-    nuisances = [*_nuisances(evidence, linear, most, wander), *errs]
+    nuisances = [*_nuisances(evidence, linear, most, wander), *errs, *own_columns(evidence, linear, values)]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     missing = _missing(evidence)
     candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}

@@ -20,6 +20,8 @@ from .parts import Linear, Part, read_at_once, turned
 from .signals import SMOOTH_S
 
 __all__ = [
+    "BOTH_PICKOFFS",
+    "GAIN_PER_K",
     "NOTICED_K",
     "SWITCHED",
     "following_columns",
@@ -31,7 +33,10 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 #: temperature coefficients of healthy devices, sd [1/K]: gains and phases of both axes; damping relative; all small against 1
-_GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e-5, 5e-3
+GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e-5, 5e-3
+#: how the name of what both axes have alike begins
+_BOTH = "both_"
+BOTH_PICKOFFS = f"{_BOTH}thermal_pickoff_gain"
 #: gain of one axis by itself over that of both, which are of one design
 _UNLIKE_PER_K = 0.15
 #: relative curvature of the damping [1/K^2]
@@ -140,8 +145,8 @@ def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
     columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
     for name in ("thermal_drive_gain", "thermal_pickoff_gain"):
-        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * _GAIN_PER_K))
-        columns += _of_both(evidence, linear, name, _GAIN_PER_K)
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * GAIN_PER_K))
+        columns += _of_both(evidence, linear, name, GAIN_PER_K)
     for name, size in (("thermal_drive_phase", _PHASE_PER_K), ("thermal_pickoff_phase", _PICKOFF_PHASE_PER_K)):
         columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), size))
     return columns + _gradient_columns(evidence, linear, sd)
@@ -149,7 +154,7 @@ def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column
 
 def _of_both(evidence: CampaignEvidence, linear: Linear, name: str, sd: float) -> list[Column]:
     """What both axes have alike of an effect by axis: no effect takes its place."""
-    by_recording = [[replace(part, parameter=f"both_{name}") for part in FORMS[name].parts(r.signals, linear, {})] for r in evidence]
+    by_recording = [[replace(part, parameter=f"{_BOTH}{name}") for part in FORMS[name].parts(r.signals, linear, {})] for r in evidence]
     return [replace(c, prior_sd=sd) for c in part_columns(evidence, by_recording, linear)]
 
 
@@ -179,7 +184,7 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
     sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
     sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PICKOFF_PHASE_PER_K * _GRADIENT_LAG_S)
     found = part_columns(evidence, by_recording, linear)
-    return [replace(c, prior_sd=sizes.get(c.name, _GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
+    return [replace(c, prior_sd=sizes.get(c.name, GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
 
 
 def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float) -> list[Column]:

@@ -1,4 +1,9 @@
-"""A thermometer that errs: what follows the temperature errs with it, by a number of its own in every record."""
+"""A thermometer that errs: what follows the temperature errs with it, by a number of its own in every record, and within records.
+
+A sensor knows nothing of a resonator's own millikelvins, and they are healthy. But a gain of 1e-4/K that follows them is 1e-7 of an
+amplitude, more than a quiet hemisphere's noise, and as the loop's phase follows the resonance too it looks like a pump at twice the
+reference.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +12,27 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from .columns import Column
-from .evidence import CampaignEvidence
+from .evidence import CampaignEvidence, RecordingEvidence
 from .linear_device import span_k
-from .nuisance import NOTICED_K, following_columns
+from .nuisance import BOTH_PICKOFFS, GAIN_PER_K, NOTICED_K, following_columns
 from .parts import Linear
-from .signals import with_temperature
+from .signals import SMOOTH_S, with_temperature
 
-__all__ = ["THERMOMETER", "thermometer_columns"]
+__all__ = ["OWN", "THERMOMETER", "own_columns", "own_detuning_rad_s", "thermometer_columns"]
 
+FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: how the names of these columns begin
 THERMOMETER = "thermometer_"
+#: what follows the resonator's own millikelvins within a record
+OWN = "own_millikelvins"
+#: modes that hold a wave at one amplitude
+_HELD = ("whole_angle", "ftr_x", "ftr_y")
+#: a relative change of the resonance with temperature that few have less of [1/K]
+_LEAST_PER_K = 5e-6
 
 
 def thermometer_columns(evidence: CampaignEvidence, linear: Linear, values: Mapping[str, float], error_k: float) -> list[Column]:
@@ -47,6 +60,51 @@ def thermometer_columns(evidence: CampaignEvidence, linear: Linear, values: Mapp
         if r.is_wave and np.any(signal[k]):
             columns.append(Column(f"{THERMOMETER}{r.index}", signal, quiet, error_k))
     return columns
+
+
+def own_columns(evidence: CampaignEvidence, linear: Linear, values: Mapping[str, float]) -> list[Column]:
+    """What follows the temperature follows a resonator's own millikelvins within a record, which its resonance alone shows.
+
+    Of a size that is known once the temperature was varied: the column's own is one. Without, it is a pick-off's gain as a healthy device
+    may have it, and a resonance that follows the temperature as few do less.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    linear : Linear
+    values : mapping
+        What follows the temperature as it was found, by name.
+    """
+    sizes, slope = values, linear.frequency_slope_rad_s_k
+    if span_k(evidence) < NOTICED_K or not slope:
+        sizes, slope = {BOTH_PICKOFFS: GAIN_PER_K}, _LEAST_PER_K * evidence.omega0_rad_s
+    own = [replace(r, signals=with_temperature(r.signals, own_detuning_rad_s(r, linear, values) / slope)) for r in evidence]
+    found = [c for c in following_columns(replace(evidence, recordings=tuple(own)), linear) if sizes.get(c.name)]
+    if not found:
+        return []
+    signal, quiet = (
+        tuple(sum(sizes[c.name] * side for c, side in zip(found, sides, strict=True)) for sides in zip(*by_column, strict=True))
+        for by_column in ([c.signal for c in found], [c.quiet for c in found])
+    )
+    return [Column(OWN, signal, quiet, 1.0)] if any(np.any(v) for v in signal) else []
+
+
+def own_detuning_rad_s(r: RecordingEvidence, linear: Linear, values: Mapping[str, float]) -> FloatArray:
+    """How far the resonance was from where the thermometer puts it, beyond the mean of the record [rad/s], shape (n,).
+
+    Of a wave that is held at one amplitude; zero in other records. The distance from where the linear device has it is what turns the
+    phase of the wave: ``Im(p^H (p' + i (omega - omega0) p - A p - G u)) / |p|^2``, p the motion. The slope that the fit gave comes to that.
+    """
+    s = r.signals
+    if r.recording.command.mode not in _HELD:
+        return np.zeros(s.time_s.shape)
+    p = s.pick - s.drive @ linear.E.T
+    flow = np.gradient(p, s.row_s, axis=0) + 1j * (s.omega_rad_s - s.omega0_rad_s)[:, None] * p
+    rest = flow - linear.acting(s, p) - s.drive @ linear.G.T
+    away = np.einsum("na,na->n", p.conj(), rest).imag / np.einsum("na,na->n", p.conj(), p).real
+    away += values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(away))
+    smooth = uniform_filter1d(away, max(round(SMOOTH_S / s.row_s), 1), mode="nearest")
+    return np.asarray(smooth - smooth.mean())
 
 
 def _alone(k: int, parts: list[ComplexArray], sizes: list[int]) -> tuple[ComplexArray, ...]:
