@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,8 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.columns import Column
+from gyro_calib.gap.columns import Column, form_columns
 from gyro_calib.gap.evidence import STEADY, WARMING
+from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import quiet_target_of, target_of
 from gyro_calib.gap.model import CampaignModel, _wander_of_means, look_at
 from gyro_calib.gap.noise import _tamed, _wandering_all_the_same, measured_noise, plain_noise
@@ -21,12 +23,14 @@ from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
-from gyro_calib.gap.select import _best_refined, _with_unlike_pickoffs
+from gyro_calib.gap.select import _best_refined, _with_unlike_pickoffs, best_of_each
+from gyro_calib.gap.strangers import MARGIN
 from gyro_calib.gap.thermometer import OWN
 from gyro_calib.recording.applied_rate import is_turned
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.sizing import size_effect
 from gyro_calib.trial.units import draw_trial_unit
 
 
@@ -151,6 +155,20 @@ def test_a_gain_follows_the_millikelvins_that_no_thermometer_reads() -> None:
     sd = float(np.sqrt(fit.covariance[own, own]))
     assert sd < 0.3
     assert abs(fit.values[own] - 1.0) < 3.0 * sd
+
+
+def test_a_thermometer_s_lag_is_seen_at_any_time() -> None:
+    """Its share of a time that is tried grows with the third power of how far that is off: between two of them one must come near."""
+    model = healthy("ring")
+    sized = size_effect(model, "thermal_lag", 8.0, np.random.default_rng(1))
+    assert sized is not None
+    assert sized.snr == pytest.approx(8.0, rel=0.01)
+    for tau in sized.sizes["tau"] * np.geomspace(1.0, 6.0, 7):
+        columns, _ = model.screener.projected(form_columns(model.evidence, FORMS["thermal_lag"], model.linear, {"tau": float(tau)}))
+        screener = copy.copy(model.screener)
+        screener.left = columns[:, 0]
+        (best,) = best_of_each(screener, {"thermal_lag": model.candidates["thermal_lag"]})
+        assert best.log_evidence > MARGIN, tau
 
 
 def test_noise_is_not_explained_away() -> None:

@@ -63,9 +63,9 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
         told[column.name] = Quantity(float(rich.values[place]), math.hypot(*parts), units.get(column.name, "1"))
     told |= {key: Quantity(float(e.candidate.setting[key]), s.sd, units[key]) for key, s in settled.items()}
     if e.name == "thermal_lag":
-        # a short lag is known by the product of the time that was tried and its share alone
+        # a short lag is known by the product of the time that was tried and its share alone, and a healthy thermometer has one of its own
         share, tried = told.pop("share"), told["tau"]
-        told["tau"] = Quantity(share.value * tried.value, share.sd * tried.value, tried.unit)
+        told["tau"] = Quantity(share.value * tried.value, math.hypot(share.sd * tried.value, healthy.get(f"{e.name}.tau", 0.0)), tried.unit)
     return told
 
 

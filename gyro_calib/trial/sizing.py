@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 _MOST_TYPICAL = 10.0
 #: share of the damping that may come or go by the temperature: a resonator with none does not hold still
 _MOST_DAMPING = 0.5
+#: an effect whose time is its size
+_LAG = "thermal_lag"
 #: effects whose time is a setting of their form
 _WITH_TIMES = (
     "relaxation",
@@ -82,6 +84,8 @@ def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Gene
     """
     if "level" in {p.name for p in EFFECTS[name].parameters}:
         return _levelled(model, name, snr)
+    if name == _LAG:
+        return _late(model, snr)
     effect = EFFECTS[name]
     linear = _linear_parameters(name)
     setting = {p.name: _about(p.typical, rng) for p in effect.parameters if p.name not in linear}
@@ -117,31 +121,40 @@ def _undamped(model: CampaignModel, name: str, sizes: Mapping[str, float]) -> bo
 
 def _levelled(model: CampaignModel, name: str, snr: float) -> Sized | None:
     """A clipping or dead level, from a grid and by bisection between its points: the further it bites, the larger."""
-    form = FORMS[name]
-    grid = [s["level"] for s in form.settings([r.signals for r in model.evidence])]
+    grid = [s["level"] for s in FORMS[name].settings([r.signals for r in model.evidence])]
     # a drive that is dead up to its own amplitude moves nothing
     typical = float(np.median([np.abs(r.signals.drive).max() for r in model.evidence]))
     largest = _MOST_DEAD * typical if name == "drive_dead_zone" else max(grid)
-    levels = np.geomspace(min(grid), largest, _LEVELS)
-    excess = np.array([_level_excess(float(np.log(level)), model, name, snr) for level in levels])
+    return _by_setting(model, name, "level", np.geomspace(min(grid), largest, _LEVELS), snr)
+
+
+def _late(model: CampaignModel, snr: float) -> Sized | None:
+    """A time of what sets the frequency behind its thermometer: as a rate of change it is healthy, what it makes of corners is not."""
+    times = [s["tau"] for s in FORMS[_LAG].settings([r.signals for r in model.evidence])]
+    return _by_setting(model, _LAG, "tau", np.geomspace(min(times), max(times), _LEVELS), snr)
+
+
+def _by_setting(model: CampaignModel, name: str, key: str, grid: FloatArray, snr: float) -> Sized | None:
+    """An effect whose one setting is its size."""
+    excess = np.array([_excess(float(np.log(value)), model, name, key, snr) for value in grid])
     crossed = np.flatnonzero(excess[:-1] * excess[1:] < 0.0)
     if not crossed.size:
         return None
     # of several the one that bites least: towards large levels for a limit, towards small ones for a dead zone
     k = int(crossed[-1] if excess[0] > excess[-1] else crossed[0])
-    ends = np.log(levels[k]), np.log(levels[k + 1])
-    level = float(np.exp(brentq(_level_excess, *ends, args=(model, name, snr), xtol=1e-4)))
-    signal = _level_signal(model, name, level)
+    ends = np.log(grid[k]), np.log(grid[k + 1])
+    value = float(np.exp(brentq(_excess, *ends, args=(model, name, key, snr), xtol=1e-4)))
+    signal = _signal_at(model, name, key, value)
     # where amplitudes come in steps so does what is clipped
-    return Sized(name, {"level": level}, signal) if 0.7 < float(np.linalg.norm(signal)) / snr < 1.4 else None
+    return Sized(name, {key: value}, signal) if 0.7 < float(np.linalg.norm(signal)) / snr < 1.4 else None
 
 
-def _level_excess(log_level: float, model: CampaignModel, name: str, snr: float) -> float:
-    return float(np.linalg.norm(_level_signal(model, name, float(np.exp(log_level))))) - snr
+def _excess(log_value: float, model: CampaignModel, name: str, key: str, snr: float) -> float:
+    return float(np.linalg.norm(_signal_at(model, name, key, float(np.exp(log_value))))) - snr
 
 
-def _level_signal(model: CampaignModel, name: str, level: float) -> FloatArray:
-    columns, _ = model.screener.projected(form_columns(model.evidence, FORMS[name], model.linear, {"level": level}))
+def _signal_at(model: CampaignModel, name: str, key: str, value: float) -> FloatArray:
+    columns, _ = model.screener.projected(form_columns(model.evidence, FORMS[name], model.linear, {key: value}))
     return np.asarray(columns[:, 0])
 
 
