@@ -23,7 +23,8 @@ from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
-from gyro_calib.gap.select import _best_refined, _with_unlike_pickoffs, best_of_each
+from gyro_calib.gap.screen import Screened
+from gyro_calib.gap.select import _best_refined, _between_settings, _with_unlike_pickoffs, best_of_each
 from gyro_calib.gap.strangers import MARGIN
 from gyro_calib.gap.thermometer import OWN
 from gyro_calib.recording.applied_rate import is_turned
@@ -169,6 +170,26 @@ def test_a_thermometer_s_lag_is_seen_at_any_time() -> None:
         screener.left = columns[:, 0]
         (best,) = best_of_each(screener, {"thermal_lag": model.candidates["thermal_lag"]})
         assert best.log_evidence > MARGIN, tau
+
+
+def test_an_effect_may_count_between_two_settings_alone() -> None:
+    """A mode at 1.4 Hz, tried at 1 and 2 Hz; where nothing nearly counts nothing is tried again."""
+    model = healthy("ring")
+    columns = form_columns(model.evidence, FORMS["spurious_mode"], model.linear, {"separation_hz": 1.4, "half_width_hz": 1.2})
+    clean, _ = model.screener.projected(columns)
+    signal = clean @ (1.0 / np.linalg.norm(clean, axis=0))
+
+    def best(snr: float) -> tuple[list[Screened], list[Screened]]:
+        screener = copy.copy(model.screener)
+        screener.left = snr * signal / np.linalg.norm(signal)
+        ranked = best_of_each(screener, {"spurious_mode": model.candidates["spurious_mode"]})
+        return ranked, _between_settings(replace(model, screener=screener), ranked)
+
+    (grid,), (between,) = best(9.0)
+    assert grid.log_evidence < MARGIN < between.log_evidence
+    assert between.candidate.setting["separation_hz"] == pytest.approx(1.4, rel=0.1)
+    faint, same = best(5.0)
+    assert faint == same
 
 
 def test_noise_is_not_explained_away() -> None:

@@ -58,6 +58,8 @@ _SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
 _BENDING_LAG_S = 0.5
 #: log evidence that turned recordings may add to an effect that has nothing to do with rate and stands at the margin
 _TURNED = 1.0
+#: log evidence that an effect may gain between two settings of its grid
+_BETWEEN = 6.0
 #: a level that is tried as what it is must leave this much less than what was selected
 _EXACT_IS_BETTER = 0.5
 
@@ -145,7 +147,8 @@ def select_effects(model: CampaignModel) -> Selection:
     """Select, name what cannot be told apart, and say whether something unnamed is there."""
     first = _ranked(model, ())
     chosen: list[Candidate] = []
-    ranked, largest = first, first[0].gain if first else 0.0
+    ranked = first if not first or _enough(first[0]) else _between_settings(model, first)
+    largest = ranked[0].gain if ranked else 0.0
     while ranked and _enough(ranked[0], largest) and len(chosen) < _MOST_EFFECTS:
         chosen.append(_best_refined(model, chosen, ranked))
         # about the device that holds it: what its first order leaves would pass for the next effect
@@ -237,6 +240,14 @@ def _or_exact_level(
     found = _together(model, alone)
     good = bool(found) and physical(found[0], rough=False) and model.screener_with(alone).chi2 < _EXACT_IS_BETTER * left.chi2
     return (alone, found) if good else (chosen, effects)
+
+
+def _between_settings(model: CampaignModel, ranked: Sequence[Screened]) -> list[Screened]:
+    """Where no effect counts at a setting of its grid: those that nearly do at their best setting, which lies between."""
+    nearly = [s for s in ranked if s.candidate.setting and s.log_evidence > MARGIN - _BETWEEN][:_CONTENDERS]
+    found = model.screener.screened(_refined(model, model.screener, s.candidate) for s in nearly)
+    better = {s.name: s for s in found if physical(s)}
+    return sorted((better.get(s.name, s) for s in ranked), key=lambda s: -s.log_evidence)
 
 
 def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Sequence[Screened]) -> Candidate:
