@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
 from gyro_calib.gap.screen import Screened
-from gyro_calib.gap.select import _best_refined, _between_settings, _with_unlike_pickoffs, best_of_each
+from gyro_calib.gap.select import _alike, _best_refined, _between_settings, _with_unlike_pickoffs, best_of_each
 from gyro_calib.gap.strangers import MARGIN
 from gyro_calib.gap.thermometer import OWN
 from gyro_calib.recording.applied_rate import is_turned
@@ -68,6 +69,20 @@ def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
         for setting in shared:
             one, other = of_pick[setting], of_drive[setting]
             assert one @ other > 0.95 * np.linalg.norm(one) * np.linalg.norm(other)
+
+
+@pytest.mark.parametrize(("apart", "alike"), [(30.0, True), (60.0, False)])
+def test_a_lag_of_the_drives_is_told_from_one_of_the_pickoffs_by_much_only(apart: float, alike: bool) -> None:
+    """A pick-off's is made of recorded volts, noise and all."""
+    model = healthy("hemisphere")
+    drive, pick = (model.screener.projected(model.candidates[n][0].columns)[0][:, 0] for n in ("drive_lag", "pickoff_lag"))
+    drive, pick = drive / np.linalg.norm(drive), pick / np.linalg.norm(pick)
+    screener = copy.copy(model.screener)
+    screener.left = np.sqrt(apart / (1.0 - (drive @ pick) ** 2)) * drive
+    with mock.patch.object(CampaignModel, "screener_with", return_value=screener):
+        group = _alike(model, [model.candidates["drive_lag"][0]], 0)
+    assert group[0] == "drive_lag"
+    assert ("pickoff_lag" in group) is alike
 
 
 def test_of_twins_the_noise_is_measured_beside_one() -> None:

@@ -37,6 +37,9 @@ __all__ = ["Selection", "seen_at_rest", "select_effects"]
 
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
+#: the same for what the drives and the pick-offs have alike: a pick-off's lag is made of recorded volts and explains of their noise
+#: a part, or adds to it; it cost the lag of trial 2201/13 31 of chi-square
+_TWINS_CLOSE = 40.0
 _MOST_EFFECTS = 3
 #: power over the noise that the best set leaves, up to which it is that of the noise; beyond, something is missing
 _LOUDEST = 1.3
@@ -365,9 +368,14 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
         *(
             s.name
             for s in _ranked(model, others)
-            if s.name != name and (s.log_evidence > alike or (s.gain > mine.gain - _CLOSE and s.log_evidence > least))
+            if s.name != name and (s.log_evidence > alike or (s.gain > mine.gain - _near_in_gain(name, s.name) and s.log_evidence > least))
         ),
     )
+
+
+def _near_in_gain(name: str, other: str) -> float:
+    """What takes away as much within this chi-square is not told apart."""
+    return _TWINS_CLOSE if other in with_twins([name]) else _CLOSE
 
 
 def _probability(effect: Screened) -> float:
