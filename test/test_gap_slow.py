@@ -11,9 +11,10 @@ import pytest
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.columns import Column
+from gyro_calib.gap.floors import beat_their_floors, louder_floors
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.relinearise import relinearised
-from gyro_calib.gap.sizes import measured_shares, with_shares
+from gyro_calib.gap.sizes import gained_by_resizing, measured_shares, with_shares
 from gyro_calib.gap.slow import drift_family
 from gyro_calib.gap.system import Solution
 from gyro_calib.simulation import GyroSimulator
@@ -56,6 +57,25 @@ def test_a_size_is_measured_through_coefficients_that_are_badly_told() -> None:
     assert measured_shares(found, lambda c: c.name.split("_")[0])["shift"] == pytest.approx(0.01, rel=0.3)
 
 
+def test_a_louder_floor_is_as_good_as_a_line_of_its_own_kind_but_no_better_than_a_drift() -> None:
+    """Sixteen coefficients three times as large are a floor of that size; where two move alone it pays for the fourteen others."""
+    small = 0.02
+    gained, paid = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        gained.append(gained_by_resizing(solution({"gain": 3.0 * small}, rng), drift_family, {"gain": small}))
+        still = solution({"gain": small}, rng)
+        assert gained_by_resizing(still, drift_family, {"gain": small}) < 8.0
+        values = still.values.copy()
+        first = [k for k, c in enumerate(still.columns) if c.name.endswith(".1")]
+        values[first] = 12.0 * math.hypot(small, 0.01)
+        line = 0.5 * len(first) * 12.0**2
+        paid.append(line - gained_by_resizing(replace(still, values=values), drift_family, {"gain": small}))
+    # 16/2 (r - 1 - ln r) for variances r times as large, about five with what each is told to
+    assert np.median(gained) > 12.0
+    assert min(paid) > 10.0
+
+
 def test_a_wave_that_turns_meets_what_stands_still_in_the_case() -> None:
     """1/f volts of the drives: in turned records they are at the turning line, where no repeat of a mean tells how large they are."""
     base = draw_unit(load_device("hrg_hardware"), 5)
@@ -91,3 +111,20 @@ def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of
     for name, value in truth.items():
         k = next(k for k, c in enumerate(fit.columns) if c.name == f"thermal_pickoff_gain.{name}")
         assert fit.values[k] == pytest.approx(value, abs=4.0 * math.sqrt(fit.covariance[k, k]) + 0.02 * abs(value))
+
+
+def test_what_goes_with_time_must_beat_larger_floors() -> None:
+    """A clean ring's floors are as large as they are; told to be a hundredth of it, what they do would be an effect's."""
+    device = draw_unit(load_device("ring_15k"), 5)
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(8), fidelity="carrier"), 2e-5)
+    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
+    f = campaign.factory
+    model = look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+    hushed = replace(model, nuisances=tuple(replace(c, prior_sd=0.01 * c.prior_sd) if drift_family(c) else c for c in model.nuisances))
+    drift = next(s for s in model.screener.screened(model.candidates["split_drift"]))
+    other = next(s for s in model.screener.screened(model.candidates["duffing"]))
+    least, most = louder_floors(model, []), louder_floors(hushed, [])
+    assert least < most
+    for evidence, beats in ((most - 1.0, False), (most + 1.0, True)):
+        assert beat_their_floors(hushed, [replace(drift, log_evidence=evidence)]) is beats
+    assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])

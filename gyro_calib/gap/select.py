@@ -15,6 +15,7 @@ import numpy as np
 from ..effects import EFFECTS
 from .candidates import candidate_at, registry_name
 from .exact_levels import best_exact_level
+from .floors import beat_their_floors, is_of_time
 from .model import CampaignModel
 from .relinearise import relinearised
 from .saturated import with_twins
@@ -188,7 +189,7 @@ def _named_all_the_same(
     but it has the name.
     """
     screener = model.screener_with(chosen)
-    best = max((s for s, _ in bank_terms(model, screener)), key=worth_of, default=None)
+    best = max((s for s, _ in bank_terms(model, screener, chosen)), key=worth_of, default=None)
     if best is None or not unnamed_counts(best, effects) or len(chosen) >= _MOST_EFFECTS:
         return chosen, effects
     taken = with_twins(c.name for c in chosen)
@@ -221,6 +222,8 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [(len(effects) == 1 or _enough(e, largest)) and seen_at_rest(model, effects, e) for e in effects]
+        if not beat_their_floors(model, effects):
+            needed = [need and not is_of_time(e.candidate) for e, need in zip(effects, needed, strict=True)]
         doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]
         if not doubtful:
             return chosen, effects

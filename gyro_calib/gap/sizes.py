@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from .columns import Column
 from .system import Solution
 
-__all__ = ["Family", "measured_shares", "with_shares"]
+__all__ = ["Family", "gained_by_resizing", "measured_shares", "with_shares"]
 
 FloatArray = NDArray[np.float64]
 #: family of a column; "" for none
@@ -39,23 +39,47 @@ def measured_shares(solution: Solution, family: Family) -> dict[str, float]:
     family : callable
         Family of a column, or "".
     """
+    families, data, told = _told(solution, family)
+    sizes = _likeliest(families, data, told, dict.fromkeys(families, 0.03))
+    return {name: _expected(_scores(data, told, families, sizes, name)) for name in sizes}
+
+
+def gained_by_resizing(solution: Solution, family: Family, shares: Mapping[str, float]) -> float:
+    """Log likelihood that families of these shares gain by being as large as this fit makes likeliest.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a fit that held the families' columns at their largest.
+    family : callable
+        Family of a column, or "".
+    shares : mapping
+        Size of each family as a share of its columns' priors.
+    """
+    families, data, told = _told(solution, family)
+    if not families:
+        return 0.0
+    likeliest = _likeliest(families, data, told, dict(shares))
+    return max(_likelihood(data, told, families, likeliest) - _likelihood(data, told, families, shares), 0.0)
+
+
+def _told(solution: Solution, family: Family) -> tuple[list[str], FloatArray, FloatArray]:
+    """Families of the coefficients, and what the data alone say of these: their precision and information, in units of the priors."""
     places = [k for k, c in enumerate(solution.columns) if family(c)]
-    if not places:
-        return {}
-    columns = [solution.columns[k] for k in places]
-    prior = np.array([c.prior_sd for c in columns])
-    # in units of the prior: what the data alone say is the posterior less the prior
+    prior = np.array([solution.columns[k].prior_sd for k in places])
     covariance = solution.covariance[np.ix_(places, places)] / np.outer(prior, prior)
+    # what the data alone say is the posterior less the prior
     posterior = np.linalg.inv(covariance + 1e-12 * np.eye(prior.size))
-    told = posterior @ (solution.values[places] / prior)
     w, v = np.linalg.eigh(posterior - np.eye(prior.size))
-    data = (v * np.maximum(w, 0.0)) @ v.T
-    families = [family(c) for c in columns]
-    sizes = dict.fromkeys(families, 0.03)
+    data = np.asarray((v * np.maximum(w, 0.0)) @ v.T)
+    return [family(solution.columns[k]) for k in places], data, np.asarray(posterior @ (solution.values[places] / prior))
+
+
+def _likeliest(families: Sequence[str], data: FloatArray, told: FloatArray, sizes: dict[str, float]) -> dict[str, float]:
     for _ in range(_ROUNDS):
         for name in sizes:
             sizes[name] = float(_SIZES[int(np.argmax(_scores(data, told, families, sizes, name)))])
-    return {name: _expected(_scores(data, told, families, sizes, name)) for name in sizes}
+    return sizes
 
 
 def with_shares(columns: Sequence[Column], family: Family, shares: Mapping[str, float]) -> list[Column]:

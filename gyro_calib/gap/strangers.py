@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .anonymous import Anonymous
+from .floors import louder_floors
 from .model import CampaignModel
 from .parts import SKEW
 from .screen import Candidate, Screened, Screener, worth
@@ -77,7 +78,7 @@ def unnamed_counts(found: Screened, effects: Sequence[Screened]) -> bool:
 def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequence[Screened], first: Sequence[Screened]) -> Stranger | None:
     """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
     screener = model.screener_with(chosen)
-    rest = _unnamed(model, screener)
+    rest = _unnamed(model, screener, chosen)
     nearest = first[0].name if first else ""
     significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
     before = model.screener.chi2 - model.screener.dof
@@ -107,21 +108,27 @@ def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Scre
     return still is not None and worth_of(still) > MARGIN + BANK_MARGIN
 
 
-def _unnamed(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
+def _unnamed(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:
     """Unnamed terms beside what a screener holds, and of the courses of time the best."""
-    found, course = bank_terms(model, screener), model.courses.best(screener, model.whitener)
-    return [*found, course] if course is not None and _is_no_floor(course[0]) else found
+    found, course = bank_terms(model, screener, chosen), model.courses.best(screener, model.whitener)
+    return [*found, course] if course is not None and _no_floors(model, chosen, [course[0]]) else found
 
 
-def bank_terms(model: CampaignModel, screener: Screener) -> list[tuple[Screened, Anonymous]]:
+def bank_terms(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:
     """Unnamed terms beside what a screener holds; those that go with time if they are no 1/f floor."""
     terms = {id(c): a for a, c in model.bank}
     found = [(s, terms[id(s.candidate)]) for s in screener.screened(c for _, c in model.bank)]
-    return [(s, a) for s, a in found if a.depends_on != "time" or _is_no_floor(s)]
+    no_floors = {id(s) for s in _no_floors(model, chosen, [s for s, a in found if a.depends_on == "time"])}
+    return [(s, a) for s, a in found if a.depends_on != "time" or id(s) in no_floors]
 
 
-def _is_no_floor(found: Screened) -> bool:
-    return worth_of(found) > MARGIN + BANK_MARGIN + _COURSE_MARGIN
+def _no_floors(model: CampaignModel, chosen: Sequence[Candidate], found: Sequence[Screened]) -> list[Screened]:
+    """Those that no 1/f floor explains, of the size that it was measured or a larger one."""
+    counting = [s for s in found if worth_of(s) > MARGIN + BANK_MARGIN + _COURSE_MARGIN]
+    if not counting:
+        return []
+    least = louder_floors(model, chosen)
+    return [s for s in counting if worth_of(s) > least]
 
 
 def worth_of(found: Screened, directions: int | None = None) -> float:
