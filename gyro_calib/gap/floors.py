@@ -12,8 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..effects import EFFECTS
-from .saturated import effect_columns
+from .saturated import effect_columns, is_of_time
 from .screen import Candidate, Screened
 from .sizes import gained_by_resizing
 from .slow import drift_family, slow_drifts
@@ -22,12 +21,7 @@ from .system import solve
 if TYPE_CHECKING:
     from .model import CampaignModel
 
-__all__ = ["beat_their_floors", "is_of_time", "louder_floors"]
-
-
-def is_of_time(candidate: Candidate) -> bool:
-    """Whether an effect of the registry needs but time to show."""
-    return set(EFFECTS[candidate.name].needs) == {"time"}
+__all__ = ["beat_their_floors", "louder_floors"]
 
 
 def louder_floors(model: CampaignModel, others: Sequence[Candidate]) -> float:
@@ -49,6 +43,6 @@ def louder_floors(model: CampaignModel, others: Sequence[Candidate]) -> float:
 
 def beat_their_floors(model: CampaignModel, effects: Sequence[Screened]) -> bool:
     """Whether those of the effects that need but time are likelier than larger floors; true where there are none."""
-    of_time = sum(e.log_evidence for e in effects if is_of_time(e.candidate))
-    others = [e.candidate for e in effects if not is_of_time(e.candidate)]
+    of_time = sum(e.log_evidence for e in effects if is_of_time(e.name))
+    others = [e.candidate for e in effects if not is_of_time(e.name)]
     return len(others) == len(effects) or of_time > louder_floors(model, others)

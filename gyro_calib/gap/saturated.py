@@ -14,7 +14,7 @@ from .forms import FORMS
 from .parts import Linear
 from .screen import Candidate
 
-__all__ = ["columns_of_time", "effect_columns", "open_drive", "saturated_columns", "with_twins"]
+__all__ = ["columns_of_time", "effect_columns", "is_of_time", "open_drive", "saturated_columns", "with_twins"]
 
 #: of the settings of a gridded effect, how many are held
 _SETTINGS = 4
@@ -57,9 +57,14 @@ def effect_columns(candidates: Sequence[Candidate]) -> list[Column]:
     ]
 
 
+def is_of_time(name: str) -> bool:
+    """Whether an effect of the registry needs but time to show."""
+    return set(EFFECTS[name].needs) == {"time"}
+
+
 def columns_of_time(candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
     """Effects that need but time to show: what drifts slowly is like them."""
-    return effect_columns([c for name, tried in candidates.items() if set(EFFECTS[name].needs) == {"time"} for c in _some(tried)])
+    return effect_columns([c for name, tried in candidates.items() if is_of_time(name) for c in _some(tried)])
 
 
 def open_drive(evidence: CampaignEvidence) -> bool:

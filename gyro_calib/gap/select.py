@@ -15,10 +15,10 @@ import numpy as np
 from ..effects import EFFECTS
 from .candidates import candidate_at, registry_name
 from .exact_levels import best_exact_level
-from .floors import beat_their_floors, is_of_time
+from .floors import beat_their_floors
 from .model import CampaignModel
 from .relinearise import relinearised
-from .saturated import with_twins
+from .saturated import is_of_time, with_twins
 from .screen import Candidate, Screened, Screener
 from .strangers import (
     BANK_MARGIN,
@@ -38,8 +38,8 @@ __all__ = ["Selection", "seen_at_rest", "select_effects"]
 
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
-#: the same for what the drives and the pick-offs have alike: a pick-off's lag is made of recorded volts and explains of their noise
-#: a part, or adds to it; it cost the lag of trial 2201/13 31 of chi-square
+#: the same for what the drives and the pick-offs have alike: a pick-off's lag is made of recorded volts, noise and all,
+#: which cost the lag of trial 2201/13 31 of chi-square
 _TWINS_CLOSE = 40.0
 _MOST_EFFECTS = 3
 #: power over the noise that the best set leaves, up to which it is that of the noise; beyond, something is missing
@@ -223,7 +223,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [(len(effects) == 1 or _enough(e, largest)) and seen_at_rest(model, effects, e) for e in effects]
         if not beat_their_floors(model, effects):
-            needed = [need and not is_of_time(e.candidate) for e, need in zip(effects, needed, strict=True)]
+            needed = [need and not is_of_time(e.name) for e, need in zip(effects, needed, strict=True)]
         doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]
         if not doubtful:
             return chosen, effects
