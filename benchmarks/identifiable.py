@@ -20,8 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from gyro_calib.gap.screen import Screened, Screener
-from gyro_calib.gap.select import _ALIKE, _CLOSE, _between_settings, _enough, best_of_each
-from gyro_calib.gap.strangers import MARGIN
+from gyro_calib.gap.select import _between_settings, _enough, as_good, best_of_each
 from gyro_calib.trial.labels import reported_name, trial_effects
 from gyro_calib.trial.sizing import Sized, imitators, size_effect
 from gyro_calib.trial.trial import LIKE, _reference
@@ -38,8 +37,7 @@ def drawn(screener: Screener, signal: np.ndarray, rng: np.random.Generator) -> S
 
 def named(ranked: list[Screened], names: set[str]) -> bool:
     """Whether the group of the best holds one of these names."""
-    first, least = ranked[0], max(ranked[0].log_evidence - _ALIKE, 0.0)
-    return any(s.log_evidence > least or (s.gain > first.gain - _CLOSE and s.log_evidence > MARGIN) for s in ranked if s.name in names)
+    return any(s.name in names and as_good(s, ranked[0]) for s in ranked)
 
 
 def shares(draws: int, job: tuple[str, int, int, str, float]) -> tuple[str, str, float, int, int]:

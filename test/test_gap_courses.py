@@ -14,7 +14,9 @@ from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
 from gyro_calib.gap.anonymous import anonymous_candidates
+from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.evidence import CampaignEvidence
+from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import frequency_columns, linear_columns
 from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.noise import _repeated, with_repeats
@@ -26,7 +28,7 @@ from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import with_temperature
 from gyro_calib.gap.strangers import CHANGES, bank_terms, one_change_of_another_kind, worth_of
 from gyro_calib.gap.system import NoiseByRole, Whitener, solve
-from gyro_calib.gap.thermometer import own_detuning_rad_s, thermometer_columns
+from gyro_calib.gap.thermometer import own_columns, own_detuning_rad_s, thermometer_columns
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.simulation import GyroSimulator
@@ -218,6 +220,22 @@ def test_a_resonance_of_its_own_temperature_is_read_from_the_phase_of_its_wave()
     inner = (t - t[0] > 0.3) & (t[-1] - t > 0.3)
     assert np.abs(swung - still - expected)[inner].max() < 0.05 * np.abs(expected).max()
     assert not gone.any()
+
+
+def test_where_no_temperature_was_varied_a_gain_of_usual_size_follows_the_resonance() -> None:
+    """A pick-off's gain of 3e-4/K and a resonance of 5e-6/K: sixty times the relative distance, on both axes alike."""
+    evidence = CampaignEvidence.of(list(usable(clean())), 1.5)
+    linear = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), dtype=complex), 0.8, 0.0)
+    (own,) = own_columns(evidence, linear, {})
+    away = [60.0 * own_detuning_rad_s(r, linear, {}) / evidence.omega0_rad_s for r in evidence]
+    moved = replace(
+        evidence, recordings=tuple(replace(r, signals=with_temperature(r.signals, a)) for r, a in zip(evidence, away, strict=True))
+    )
+    by_axis = form_columns(moved, FORMS["thermal_pickoff_gain"], linear, {})
+    assert own.prior_sd == 1.0
+    for k in range(len(evidence.recordings)):
+        expected = sum(c.signal[k] for c in by_axis)
+        np.testing.assert_allclose(own.signal[k], expected, rtol=1e-6, atol=1e-6 * max(np.abs(expected).max(), 1e-300))
 
 
 def test_what_both_axes_have_alike_is_what_each_has() -> None:

@@ -34,7 +34,7 @@ from .strangers import (
     worth_of,
 )
 
-__all__ = ["Selection", "seen_at_rest", "select_effects"]
+__all__ = ["Selection", "as_good", "best_of_each", "seen_at_rest", "select_effects"]
 
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
@@ -365,20 +365,14 @@ def _alike(model: CampaignModel, chosen: Sequence[Candidate], k: int) -> tuple[s
     mine = model.screener_with(others).screen(chosen[k])
     if mine is None:
         return (name,)
-    least, alike = min(mine.log_evidence, MARGIN), max(mine.log_evidence - _ALIKE, 0.0) if mine.log_evidence > MARGIN else np.inf
-    return (
-        name,
-        *(
-            s.name
-            for s in _ranked(model, others)
-            if s.name != name and (s.log_evidence > alike or (s.gain > mine.gain - _near_in_gain(name, s.name) and s.log_evidence > least))
-        ),
-    )
+    return (name, *(s.name for s in _ranked(model, others) if s.name != name and as_good(s, mine)))
 
 
-def _near_in_gain(name: str, other: str) -> float:
-    """What takes away as much within this chi-square is not told apart."""
-    return _TWINS_CLOSE if other in with_twins([name]) else _CLOSE
+def as_good(other: Screened, mine: Screened) -> bool:
+    """Whether these data do not tell another effect from the one that was named: by its evidence, or by what it takes away."""
+    close = _TWINS_CLOSE if other.name in with_twins([mine.name]) else _CLOSE
+    alike = mine.log_evidence > MARGIN and other.log_evidence > max(mine.log_evidence - _ALIKE, 0.0)
+    return alike or (other.gain > mine.gain - close and other.log_evidence > min(mine.log_evidence, MARGIN))
 
 
 def _probability(effect: Screened) -> float:
