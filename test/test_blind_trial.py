@@ -201,7 +201,10 @@ def test_pairs_must_be_exact() -> None:
 
 def test_intervals_of_sizes_and_shrinkage() -> None:
     def one(value: float, before: float, after: float) -> Outcome:
-        verdict = Verdict("effects", (found("nonlinear_damping", c=(value, 0.001)),), rms_before=before, rms_after=after, closed_sd=0.1)
+        gap, gain = max(before**2 - 1.0, 0.0), before**2 - after**2
+        closed = gain / gap if gap else 0.0
+        sizes = found("nonlinear_damping", c=(value, 0.001))
+        verdict = Verdict("effects", (sizes,), rms_before=before, rms_after=after, closed=closed, closed_sd=0.1)
         return outcome(label(), verdict)
 
     outcomes = [one(0.0215, 2.0, 1.0), one(0.0225, 3.0, 1.3), one(0.02, 1.0, 1.01)]

@@ -1,8 +1,9 @@
-"""Halves of a campaign: one size for all experiments, or another in each."""
+"""Unseen experiments: recordings foretold by the others, one size for all of them or another in each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
@@ -11,32 +12,126 @@ import pytest
 
 from gyro_calib.gap.columns import Column
 from gyro_calib.gap.diagnose import _not_of_its_form, _probabilities
-from gyro_calib.gap.heldout import Shrinkage, _Part, halves, halves_disagree
+from gyro_calib.gap.heldout import Shrinkage, _closed, _Unseen, halves, halves_disagree, shrinkage, shrinkage_of_halves
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.screen import Candidate
+from gyro_calib.gap.screen import Candidate, Screener
 from gyro_calib.gap.select import Selection
 from gyro_calib.gap.spectral_effects import SpectralEffects
-from gyro_calib.gap.system import Whitener
+from gyro_calib.gap.system import Whitener, solve
 
-ROWS, COUNT = 20, 8
+ROWS, COUNT, WANDER = 20, 8, 2.0
 
 
-def toy(sizes: np.ndarray, seed: int) -> tuple[CampaignModel, Candidate]:
-    """Recordings of a constant and an effect, whose size may be another in each."""
+def toy(sizes: np.ndarray, seed: int, share: float = 1.0) -> tuple[CampaignModel, Candidate]:
+    """Recordings of a constant and an effect, whose size may be another in each; a wander of each, smaller than its prior by ``share``."""
     rng = np.random.default_rng(seed)
     shapes = [np.linspace(-1.0, 1.0, ROWS) ** (1 + k % 3) for k in range(COUNT)]
     noise = rng.standard_normal((COUNT, ROWS)) + 1j * rng.standard_normal((COUNT, ROWS))
-    setpoints = SimpleNamespace(amplitude_v=1.0)
-    recording = SimpleNamespace(command=SimpleNamespace(setpoints=setpoints))
-    one = Column("one", tuple(np.ones(ROWS, dtype=complex) for _ in shapes), (), math.inf)
+    recording = SimpleNamespace(
+        command=SimpleNamespace(setpoints=SimpleNamespace(amplitude_v=1.0), excitation=SimpleNamespace(kind="none")),
+        label="one",
+        duration_s=1.0,
+        truth=None,
+        rate_rad_s=None,
+    )
+    signals = SimpleNamespace(pick=np.ones((4, 2), dtype=complex))
+    signal = SimpleNamespace(lhs=np.zeros(ROWS, dtype=complex))
+    evidence = [
+        SimpleNamespace(role="ftr_x", recording=recording, signal=signal, signals=signals, is_wave=False, is_warming=False) for _ in shapes
+    ]
+    wander = np.sin(np.arange(ROWS)) + 0j
+    nuisances = (
+        Column("one", tuple(np.ones(ROWS, dtype=complex) for _ in shapes), (), math.inf),
+        *(Column(f"wander_{k}", tuple(wander * (j == k) for j in range(COUNT)), (), WANDER) for k in range(COUNT)),
+    )
+    whitener = Whitener(tuple((np.eye(ROWS), np.eye(ROWS)) for _ in shapes))
+    drawn = share * WANDER * rng.standard_normal(COUNT)
+    target = [s * x + n + w * wander for s, x, n, w in zip(sizes, shapes, noise, drawn, strict=True)]
     model = SimpleNamespace(
-        evidence=[SimpleNamespace(role="ftr_x", recording=recording) for _ in shapes],
-        whitener=Whitener(tuple((np.eye(ROWS), np.eye(ROWS)) for _ in shapes)),
-        nuisances=(one,),
-        target=[s * x + n for s, x, n in zip(sizes, shapes, noise, strict=True)],
+        evidence=evidence,
+        linear=SimpleNamespace(angular_gain=0.4),
+        whitener=whitener,
+        nuisances=nuisances,
+        target=target,
+        screener=Screener(whitener, nuisances, target),
     )
     effect = Candidate("drive_nonlinearity", {}, (Column("d_x", tuple(x.astype(complex) for x in shapes), ()),), np.array([10.0]))
     return cast(CampaignModel, model), effect
+
+
+def foretold(model: CampaignModel, columns: list[Column], k: int) -> float:
+    """Chi-square of a recording, given the others, by two fits."""
+
+    def left(members: list[int]) -> float:
+        kept = [Column(c.name, tuple(c.signal[j] for j in members), (), c.prior_sd) for c in columns]
+        kept = [c for c in kept if any(np.abs(x).max() > 0.0 for x in c.signal)]
+        factors = tuple(model.whitener.factors[j] for j in members)
+        return Screener(Whitener(factors), kept, [model.target[j] for j in members]).chi2
+
+    return left(list(range(COUNT))) - left([j for j in range(COUNT) if j != k])
+
+
+@pytest.mark.parametrize("k", [0, 5])
+def test_one_factorisation_foretells_what_two_fits_do(k: int) -> None:
+    model, _ = toy(np.full(COUNT, 3.0), k)
+    missed = _Unseen(model, []).held_out([k]).missed
+    assert missed @ missed == pytest.approx(foretold(model, list(model.nuisances), k), rel=1e-9)
+
+
+def test_sizes_that_the_others_tell_are_those_of_a_fit_without_the_recording() -> None:
+    model, effect = toy(np.arange(COUNT) + 1.0, 2)
+    members = list(range(1, COUNT))
+    columns = [Column("d", tuple(effect.columns[0].signal[j] for j in members), (), float(effect.prior_sd[0]))]
+    columns += [Column(c.name, tuple(c.signal[j] for j in members), (), c.prior_sd) for c in model.nuisances]
+    columns = [c for c in columns if any(np.abs(x).max() > 0.0 for x in c.signal)]
+    whitener = Whitener(tuple(model.whitener.factors[j] for j in members))
+    fit = solve(columns, whitener.design(columns, len(members)), whitener.rows([model.target[j] for j in members]))
+    unseen = _Unseen(model, [effect])
+    sizes, covariance = unseen.told(unseen.held_out([0]))
+    assert sizes[0] / math.sqrt(covariance[0, 0]) == pytest.approx(fit.values[0] / math.sqrt(fit.covariance[0, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.0])
+def test_a_healthy_device_is_foretold_to_its_noise(share: float) -> None:
+    """Whether its constants are as large as they may be or not: where they are not, less than one for every figure is expected."""
+    found = [shrinkage(toy(np.zeros(COUNT), seed, share)[0], []) for seed in range(60)]
+    assert float(np.mean([s.before for s in found])) == pytest.approx(1.0, abs=0.02)
+    assert all(s.closed == pytest.approx(0.0, abs=1e-9) and s.after == pytest.approx(s.before) for s in found)
+
+
+@pytest.mark.parametrize("told", [shrinkage, shrinkage_of_halves])
+def test_an_effect_of_one_size_closes_the_gap(told: Callable[[CampaignModel, list[Candidate]], Shrinkage]) -> None:
+    found = [told(*listed(toy(np.full(COUNT, 1.0), seed))) for seed in range(30)]
+    assert all(s.after < s.before and s.closed <= 1.0 for s in found)
+    assert float(np.mean([s.closed for s in found])) > 0.8
+    assert min((s.closed - 1.0) / s.closed_sd for s in found) > -4.0
+
+
+def test_an_effect_of_another_size_in_each_recording_does_not() -> None:
+    found = [shrinkage(*listed(toy(3.0 * np.array([1, 1, -1, -1, 1, 1, -1, -1]), seed))) for seed in range(10)]
+    assert all(s.closed < 0.2 for s in found)
+
+
+def test_what_a_healthy_device_has_as_well_is_its_nuisance_no_longer() -> None:
+    """A nuisance of the effect's own kind would take the gap of every recording at the cost of its prior alone."""
+    model, effect = toy(np.full(COUNT, 3.0), 4)
+    own = Column("drive_nonlinearity.d_x", effect.columns[0].signal, (), 0.1)
+    nuisances = (*model.nuisances, own)
+    both = SimpleNamespace(**{**vars(model), "nuisances": nuisances, "screener": Screener(model.whitener, nuisances, model.target)})
+    without, beside = shrinkage(model, [effect]), shrinkage(cast(CampaignModel, both), [effect])
+    assert (beside.before, beside.after) == pytest.approx((without.before, without.after))
+
+
+def test_a_noise_that_is_believed_too_large_hides_no_wrong_size() -> None:
+    """Of 100 that are there, an effect of twice the size takes none away; chi-square is 300 below its expectation."""
+    closed, _ = _closed(gain=0.0, foretold=400.0, left=100.0 - 300.0, noise=1300.0)
+    assert closed == 0.0
+    assert _closed(gain=400.0, foretold=400.0, left=-300.0, noise=1300.0)[0] == 1.0
+    assert _closed(gain=300.0, foretold=400.0, left=100.0, noise=1300.0)[0] == pytest.approx(0.75)
+
+
+def listed(of: tuple[CampaignModel, Candidate]) -> tuple[CampaignModel, list[Candidate]]:
+    return of[0], [of[1]]
 
 
 def test_halves_of_one_size_disagree_by_chance_alone() -> None:
@@ -53,19 +148,23 @@ def test_halves_of_different_sizes_disagree(seed: int) -> None:
     assert halves_disagree(model, [effect])
 
 
-def test_a_half_does_not_guess_at_a_size_that_it_cannot_tell() -> None:
+def test_others_do_not_guess_at_a_size_that_they_cannot_tell() -> None:
     """Beforehand a size is of the order that all experiments say: no matter where it is well told, all where it is not."""
-    found: dict[tuple[str, bool], list[float]] = {}
-    for seed in range(100):
-        model, strong = toy(np.full(COUNT, 2.0), seed)
-        weak = Candidate(strong.name, {}, (Column("d_x", tuple(0.03 * x for x in strong.columns[0].signal), ()),), strong.prior_sd)
-        part = _Part(model, halves(model)[0])
-        for name, candidate in (("strong", strong), ("weak", weak)):
-            for order in (None, np.array([2.0])):
-                found.setdefault((name, order is not None), []).append(float(part.told([candidate], order)[0][0]))
-    spread = {key: float(np.std(values)) for key, values in found.items()}
-    assert spread["strong", True] == pytest.approx(spread["strong", False], rel=0.1)
-    assert spread["weak", True] < 0.5 * spread["weak", False]
+    spread: dict[tuple[bool, bool], float] = {}
+    for alone in (False, True):
+        found: dict[bool, list[float]] = {}
+        for seed in range(100):
+            model, effect = toy(np.full(COUNT, 2.0) * (np.arange(COUNT) == 0 if alone else 1.0), seed)
+            if alone:
+                shown = tuple((1.0 if k == 0 else 0.01) * x for k, x in enumerate(effect.columns[0].signal))
+                effect = Candidate(effect.name, {}, (Column("d_x", shown, ()),), effect.prior_sd)
+            unseen = _Unseen(model, [effect])
+            out = unseen.held_out([0])
+            for order in (None, unseen._order):
+                found.setdefault(order is not None, []).append(float(unseen.told(out, order)[0][0]))
+        spread |= {(alone, known): float(np.std(values)) for known, values in found.items()}
+    assert spread[False, True] == pytest.approx(spread[False, False], rel=0.1)
+    assert spread[True, True] < 0.5 * spread[True, False]
 
 
 @pytest.mark.parametrize(
@@ -77,7 +176,7 @@ def test_what_leaves_most_of_unseen_experiments_is_not_of_its_form(closed: float
     model, effect = toy(np.full(COUNT, 3.0), 0)
     found = SimpleNamespace(name=effect.name, candidate=effect, gain=900.0)
     selection = SimpleNamespace(effects=(found,), chi2_after=left, dof=1300)
-    shrunk = Shrinkage(before=3.0, after=3.0 - 2.0 * closed, dof=1300, closed=closed, closed_sd=0.03, labels=())
+    shrunk = Shrinkage(before=3.0, after=3.0 - 2.0 * closed, dof=1300, closed=closed, closed_sd=0.03)
     said = _not_of_its_form(model, cast(Selection, selection), shrunk)
     assert (said is not None) == unknown
     if said is not None:

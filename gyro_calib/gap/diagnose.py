@@ -17,7 +17,7 @@ from ..units import DEG_H, PPM
 from .candidates import registry_name
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .gap_map import gap_map
-from .heldout import Shrinkage, halves_disagree, shrinkage
+from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
 from .linear_device import linear_of
 from .loud import loudest
 from .model import CampaignModel, look_at
@@ -81,7 +81,11 @@ def diagnose(
     lines = standings(model, selection, left_out)
     effects = tuple(_found(model, selection, k, rich) for k in range(len(selection.effects)))
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
-    unknown = _unknown(selection) or (None if effects else beside.unknown) or _not_of_its_form(model, selection, shrunk)
+    unknown = (
+        _unknown(selection)
+        or (None if effects else beside.unknown)
+        or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
+    )
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
@@ -199,9 +203,9 @@ def _unknown(selection: Selection) -> Unknown | None:
     return Unknown(term.location, term.phase, term.form, term.depends_on, selection.stranger.nearest, selection.stranger.screened.gain)
 
 
-def _not_of_its_form(model: CampaignModel, selection: Selection, shrunk: Shrinkage) -> Unknown | None:
+def _not_of_its_form(model: CampaignModel, selection: Selection, of_halves: Shrinkage) -> Unknown | None:
     """What looks like an effect but leaves most of the gap of unseen experiments, or makes it worse, because its size is another there."""
-    follows = shrunk.after < shrunk.before and shrunk.closed + _SIGMAS * shrunk.closed_sd > _LEAST_CLOSED
+    follows = of_halves.after < of_halves.before and of_halves.closed + _SIGMAS * of_halves.closed_sd > _LEAST_CLOSED
     if not selection.effects or follows:
         return None
     left_over = selection.chi2_after - selection.dof > _SIGMAS * math.sqrt(2.0 * selection.dof)
@@ -250,7 +254,7 @@ def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:
     return Gap(
         rms_before=shrunk.rms_before,
         rms_after=shrunk.rms_after,
-        closed_fraction=Quantity(shrunk.closed, shrunk.closed_sd if math.isfinite(shrunk.closed_sd) else 0.0, "1"),
+        closed_fraction=Quantity(shrunk.closed, shrunk.closed_sd, "1"),
         bias_before=Quantity(shrunk.rate_before / DEG_H, rate_sd / DEG_H, "deg/h"),
         bias_after=Quantity(shrunk.rate_after / DEG_H, rate_sd / DEG_H, "deg/h"),
         scale_before=Quantity(abs(scale_shift) / PPM, scale_sd / PPM, "ppm"),

@@ -1,31 +1,37 @@
 """How far the gap shrinks on experiments that the effect's size was not found on.
 
-The recordings are halved by experiment, each half predicted from the other. For a linear model with Gaussian noise the chi-square of one
-half given the other is chi-square(both) - chi-square(other), nuisances and their priors included: no direction that only the held-out half
-can tell (its own resonance shifts, a temperature that only it visited) counts as misfit.
+Every recording is foretold by all the others, without and with the effects. With e what the nuisances leave of all equations and H = Q Q^T
+what they can imitate (their priors are rows as well), a recording G is missed by ``z = (1 - H_GG)^-1/2 e_G``: no direction that only it can
+tell (its own resonance shifts, a temperature that only it visited) counts as misfit. What it shows of an effect, ``Z``, is the same of the
+effect's columns, and the others say of the size what all say less ``Z^T Z`` and ``Z^T z``: one factorisation for all recordings.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ..recording.applied_rate import is_turned
-from .columns import Column
 from .model import CampaignModel
 from .saturated import effect_columns
 from .screen import Candidate, Screener
-from .system import Whitener, solve
 
-__all__ = ["Shrinkage", "halves", "halves_disagree", "shrinkage"]
+__all__ = ["Shrinkage", "halves", "halves_disagree", "shrinkage", "shrinkage_of_halves"]
 
+FloatArray = NDArray[np.float64]
 #: chance that halves of one device disagree by more
 _BY_CHANCE = 1e-3
+#: share of a direction that the others must leave to it; less is told by a recording alone
+_TOLD_BY_ITSELF = 1e-6
+#: size of an effect, in units of its column's norm, that is none
+_LEAST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -35,10 +41,12 @@ class Shrinkage:
     Parameters
     ----------
     before, after : float
-        Chi-square of unseen experiments without and with the effects, over their degrees of freedom.
+        Chi-square of unseen experiments without and with the effects, over what noise leaves of it.
     dof : int
+        Figures that were foretold.
     closed, closed_sd : float
-        1 - (chi2_after - dof)/(chi2_before - dof), and its standard deviation.
+        1 - (after - 1)/(before - 1), and its standard deviation. What is left is no less than nothing, and no less than what is left in
+        the direction of the effects: a noise that is believed to be too large hides no wrong size.
     labels : tuple of str
         Experiments that were held out and hold a gap.
     rate_before, rate_after : float
@@ -50,7 +58,7 @@ class Shrinkage:
     dof: int
     closed: float
     closed_sd: float
-    labels: tuple[str, ...]
+    labels: tuple[str, ...] = ()
     rate_before: float = 0.0
     rate_after: float = 0.0
 
@@ -80,36 +88,21 @@ def halves(model: CampaignModel) -> tuple[list[int], list[int]]:
 
 
 def shrinkage(model: CampaignModel, chosen: Sequence[Candidate]) -> Shrinkage:
-    """Predict each half from the other, without and with the effects."""
-    whole = _Part(model, range(len(model.evidence)))
-    # what a half cannot tell it must not guess at: a size is believed to be of the order that all experiments say
-    order = np.abs(whole.told(chosen)[0]) if chosen else None
-    before = after = 0.0
-    dof = 0
-    gains: list[_Unseen] = []
-    for train in halves(model):
-        part = _Part(model, train)
-        sizes = part.told(chosen, order)[0]
-        plain_whole, plain_part = whole.chi_square(chosen, None), part.chi_square(chosen, None)
-        rich_whole, rich_part = whole.chi_square(chosen, sizes), part.chi_square(chosen, sizes)
-        before += plain_whole[0] - plain_part[0]
-        after += rich_whole[0] - rich_part[0]
-        dof += plain_whole[1] - plain_part[1]
-        gains += whole.improved(chosen, sizes, train)
-    gap = before - dof
-    closed = 1.0 - (after - dof) / gap if gap > 0.0 else 0.0
-    sd = math.sqrt(2.0 * dof + 4.0 * max(after - dof, 0.0)) / gap if gap > 0.0 else math.inf
-    labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)
-    rates = [
-        math.sqrt(float(np.mean([rate**2 for rate in side]))) if side else 0.0
-        for side in ([u.before for u in gains if u.has_rate], [u.after for u in gains if u.has_rate])
-    ]
-    return Shrinkage(before / max(dof, 1), after / max(dof, 1), dof, closed, sd, labels, rates[0], rates[1])
+    """Foretell each recording from all the others, without and with the effects."""
+    unseen = _Unseen(model, chosen)
+    return unseen.shrinkage([unseen.held_out([k]) for k in range(len(model.evidence))])
+
+
+def shrinkage_of_halves(model: CampaignModel, chosen: Sequence[Candidate]) -> Shrinkage:
+    """Foretell each half of the recordings from the other: harder for what is of another size in each experiment."""
+    unseen = _Unseen(model, chosen)
+    return unseen.shrinkage([unseen.held_out(half) for half in halves(model)])
 
 
 def halves_disagree(model: CampaignModel, chosen: Sequence[Candidate]) -> bool:
     """Whether the sizes that each half tells differ by more than their uncertainty: then the form is not that of what is there."""
-    (one, one_var), (other, other_var) = (_Part(model, train).told(chosen) for train in halves(model))
+    unseen = _Unseen(model, chosen)
+    (one, one_var), (other, other_var) = (unseen.told(unseen.held_out(half)) for half in halves(model))
     variance = one_var + other_var
     told = np.diag(variance) > 0.0
     scale = np.sqrt(np.diag(variance)[told])
@@ -120,7 +113,121 @@ def halves_disagree(model: CampaignModel, chosen: Sequence[Candidate]) -> bool:
 
 
 @dataclass(frozen=True)
+class _HeldOut:
+    """Recordings as the others foretell them: in units of what these leave open, with unit noise.
+
+    Parameters
+    ----------
+    members : tuple of int
+    missed : ndarray, shape (n,)
+        What is there beyond what the others' nuisances say.
+    shown : ndarray, shape (n, k)
+        What the effects would be there.
+    heard : ndarray, shape (n, nuisances)
+        What the nuisances would be.
+    """
+
+    members: tuple[int, ...]
+    missed: FloatArray
+    shown: FloatArray
+    heard: FloatArray
+
+
 class _Unseen:
+    """A campaign's recordings, foretold by others.
+
+    Parameters
+    ----------
+    model : CampaignModel
+    chosen : sequence of Candidate
+        Effects; each size in units of what makes its column a unit vector.
+    """
+
+    def __init__(self, model: CampaignModel, chosen: Sequence[Candidate]) -> None:
+        self._model, self._recordings, screener = model, tuple(model.evidence), _without_what_they_are(model, chosen)
+        self._left, self._basis, self._rows = screener.left, screener.basis, screener.rows
+        columns = effect_columns(chosen)
+        shown = screener.projected(columns)[0] if columns else np.zeros((self._left.size, 0))
+        norms = np.linalg.norm(shown, axis=0)
+        scale = np.where(norms > 0.0, norms, 1.0)
+        self._shown = shown / scale
+        self._precision = (scale * np.array([c.prior_sd for c in columns])) ** -2.0
+        self._fisher, self._towards = self._shown.T @ self._shown, self._shown.T @ self._left
+        sizes = np.linalg.solve(self._fisher + np.diag(self._precision), self._towards)
+        # what others cannot tell they must not guess at: a size is believed to be of the order that all experiments say
+        self._order = np.maximum(self._precision, np.maximum(np.abs(sizes), _LEAST) ** -2.0)
+        ends = np.cumsum([0, *(2 * r.signal.lhs.size for r in model.evidence)])
+        self._places = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        # how far off their priors the nuisances are beside the effects: a device's constants need not be as large as they may be
+        pads = self._left[self._rows :] - self._shown[self._rows :] @ sizes
+        weight = self._basis[self._rows :]
+        self._smaller = weight.T @ ((1.0 - pads**2)[:, None] * weight)
+
+    def held_out(self, members: Sequence[int]) -> _HeldOut:
+        """Some recordings, as the others foretell them."""
+        rows = np.concatenate([np.arange(self._places[k].start, self._places[k].stop) for k in members])
+        basis = self._basis[rows]
+        open_, axes = np.linalg.eigh(np.eye(rows.size) - basis @ basis.T)
+        kept = open_ > _TOLD_BY_ITSELF
+        unit = (axes[:, kept] / np.sqrt(open_[kept])).T
+        return _HeldOut(tuple(members), unit @ self._left[rows], unit @ self._shown[rows], unit @ basis)
+
+    def told(self, out: _HeldOut, precision: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Sizes as the others tell them, and their covariance; ``precision``: what is known of each beforehand, by default its prior."""
+        known = np.diag(self._precision if precision is None else precision)
+        covariance = np.linalg.inv(self._fisher - out.shown.T @ out.shown + known)
+        return covariance @ (self._towards - out.shown.T @ out.missed), covariance
+
+    def shrinkage(self, parts: Sequence[_HeldOut]) -> Shrinkage:
+        """Of all that was held out, part by part."""
+        before = after = noise = foretold = 0.0
+        gains: list[_Improved] = []
+        for out in parts:
+            sizes = self.told(out, self._order)[0]
+            effect = out.shown @ sizes
+            gains += self._improved(out, sizes)
+            before += float(out.missed @ out.missed)
+            after += float(np.sum((out.missed - effect) ** 2))
+            foretold += float(effect @ effect)
+            noise += out.missed.size - float(np.sum((out.heard @ self._smaller) * out.heard))
+        closed, sd = _closed(before - after, foretold, after - noise, noise)
+        labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)
+        rates = [
+            math.sqrt(float(np.mean([rate**2 for rate in side]))) if side else 0.0
+            for side in ([u.before for u in gains if u.has_rate], [u.after for u in gains if u.has_rate])
+        ]
+        dof = sum(out.missed.size for out in parts)
+        return Shrinkage(before / noise, after / noise, dof, closed, sd, labels, rates[0], rates[1])
+
+    def _improved(self, out: _HeldOut, sizes: FloatArray) -> list[_Improved]:
+        """What the effects, of a size that others told, do for each recording."""
+        improved = []
+        for k in out.members:
+            r, rows = self._recordings[k], self._places[k]
+            plain, rich = self._left[rows], self._left[rows] - self._shown[rows] @ sizes
+            steady = r.is_wave and not r.is_warming and not is_turned(r.recording)
+            gain = float(plain @ plain - rich @ rich)
+            improved.append(_Improved(r.recording.label, gain, self._rate(k, plain), self._rate(k, rich), steady))
+        return improved
+
+    def _rate(self, k: int, left: FloatArray) -> float:
+        """Rate that would explain the residual of a recording's mean across the wave."""
+        r = self._recordings[k]
+        size = r.signal.lhs.size
+        across = float((self._model.whitener.factors[k][0] @ left[:size])[size // 2])
+        amplitude = float(np.sqrt(np.mean(np.sum(np.abs(r.signals.pick) ** 2, axis=1))))
+        return across / (self._model.linear.angular_gain * max(amplitude, 1e-9) * math.sqrt(r.recording.duration_s))
+
+
+def _without_what_they_are(model: CampaignModel, chosen: Sequence[Candidate]) -> Screener:
+    """Screens beside the nuisances that are no effect among these: of what a healthy device has as well, the device without it has none."""
+    names = {c.name for c in chosen}
+    kept = [c for c in model.nuisances if c.name.split(".")[0] not in names]
+    return model.screener if len(kept) == len(model.nuisances) else Screener(model.whitener, kept, model.target)
+
+
+@dataclass(frozen=True)
+class _Improved:
     """What the effects do for an unseen recording: chi-square, and the rate that its mean leaves unexplained [rad/s]."""
 
     label: str
@@ -130,62 +237,22 @@ class _Unseen:
     has_rate: bool
 
 
-class _Part:
-    """Some recordings of a campaign with its nuisances."""
+def _closed(gain: float, foretold: float, left: float, noise: float) -> tuple[float, float]:
+    """Closed fraction of a gap, and its sd.
 
-    def __init__(self, model: CampaignModel, indices: Sequence[int]) -> None:
-        self.model, self.indices = model, list(indices)
-        self.whitener = Whitener(tuple(model.whitener.factors[k] for k in self.indices))
-        self.nuisances = [self._kept(c) for c in model.nuisances]
-        self.target = [model.target[k] for k in self.indices]
-
-    def _kept(self, c: Column) -> Column:
-        return Column(c.name, tuple(c.signal[k] for k in self.indices), (), c.prior_sd)
-
-    def told(self, chosen: Sequence[Candidate], order: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes of the effects as these recordings say, and their covariance; ``order``: sd that they are believed to have beforehand."""
-        effects = [self._kept(c) for c in effect_columns(chosen)]
-        if order is not None:
-            effects = [replace(c, prior_sd=min(c.prior_sd, max(float(sd), 1e-300))) for c, sd in zip(effects, order, strict=True)]
-        columns = [*self.nuisances, *effects]
-        solution = solve(columns, self.whitener.design(columns, len(self.indices)), self.whitener.rows(self.target))
-        first = len(self.nuisances)
-        return solution.values[first:], solution.covariance[first:, first:]
-
-    def _less(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> list[np.ndarray]:
-        if sizes is None:
-            return self.target
-        columns = effect_columns(chosen)
-        return [
-            t - sum(size * c.signal[k] for size, c in zip(sizes, columns, strict=True))
-            for k, t in zip(self.indices, self.target, strict=True)
-        ]
-
-    def chi_square(self, chosen: Sequence[Candidate], sizes: np.ndarray | None) -> tuple[float, int]:
-        """Chi-square of the nuisances' fit with the effects at given sizes, and its degrees of freedom."""
-        screener = Screener(self.whitener, self.nuisances, self._less(chosen, sizes))
-        return screener.chi2, screener.dof
-
-    def improved(self, chosen: Sequence[Candidate], sizes: np.ndarray, train: Sequence[int]) -> list[_Unseen]:
-        """What the effects, of a size that others told, do for each unseen recording."""
-        plain = Screener(self.whitener, self.nuisances, self.target).left
-        rich = Screener(self.whitener, self.nuisances, self._less(chosen, sizes)).left
-        out, first = [], 0
-        for k, r in enumerate(self.model.evidence):
-            rows = slice(first, first + 2 * r.signal.lhs.size)
-            first += 2 * r.signal.lhs.size
-            if k in train:
-                continue
-            before, after = (self._rate(k, left[rows]) for left in (plain, rich))
-            gain = float(plain[rows] @ plain[rows] - rich[rows] @ rich[rows])
-            steady = r.is_wave and not r.is_warming and not is_turned(r.recording)
-            out.append(_Unseen(r.recording.label, gain, before, after, steady))
-        return out
-
-    def _rate(self, k: int, left: np.ndarray) -> float:
-        """Rate that would explain the residual of a recording's mean across the wave."""
-        r = self.model.evidence.recordings[k]
-        size = r.signal.lhs.size
-        across = float((self.whitener.factors[k][0] @ left[:size])[size // 2])
-        amplitude = float(np.sqrt(np.mean(np.sum(np.abs(r.signals.pick) ** 2, axis=1))))
-        return across / (self.model.linear.angular_gain * max(amplitude, 1e-9) * math.sqrt(r.recording.duration_s))
+    Parameters
+    ----------
+    gain : float
+        Chi-square that the effects take away.
+    foretold : float
+        Square of what they say.
+    left : float
+        Chi-square that they leave, beyond the noise's.
+    noise : float
+        The noise's.
+    """
+    # gain = (2 b - 1) foretold, where what is there in the direction of what they say is b times it, and 1/foretold is the variance of b
+    along = (0.5 * (gain / foretold - 1.0)) ** 2 * foretold - 1.0 if foretold > 0.0 else 0.0
+    left = max(left, along, 0.0)
+    gap = max(gain + left, 1.0)
+    return gain / gap, math.hypot(2.0 * left * math.sqrt(foretold), gain * math.sqrt(2.0 * noise)) / gap**2

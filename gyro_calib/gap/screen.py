@@ -117,6 +117,17 @@ class Screener:
     nuisances : sequence of Column
     target : sequence of ndarray, complex
         Left-hand sides by recording, turned.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (n, r)
+        Orthonormal: what the nuisances imitate, rows of their priors below the equations'.
+    left : ndarray, shape (n,)
+        What they leave.
+    rows : int
+        Equations.
+    chi2 : float
+    dof : int
     """
 
     def __init__(self, whitener: Whitener, nuisances: Sequence[Column], target: Sequence[NDArray[np.complex128]]) -> None:
@@ -124,13 +135,13 @@ class Screener:
         self._healthy = {c.name.split(".")[0] for c in nuisances}
         design = whitener.design(nuisances, self._count)
         full = with_priors(nuisances, design)
-        self._basis = factored(full)[0]
+        self.basis = factored(full)[0]
         self._pad = full.shape[0] - design.shape[0]
         self.rows = design.shape[0]
         whole = np.concatenate([whitener.rows(target), np.zeros(self._pad)])
         self.left = whole - self.imitated(whole)
         self.chi2 = float(self.left @ self.left)
-        self.dof = self.rows + self._pad - self._basis.shape[1]
+        self.dof = self.rows + self._pad - self.basis.shape[1]
 
     def projected(self, columns: Sequence[Column]) -> tuple[FloatArray, FloatArray]:
         """Whitened columns with the nuisances taken out, and their norms before."""
@@ -139,11 +150,11 @@ class Screener:
 
     def imitated(self, whole: FloatArray) -> FloatArray:
         """What the nuisances make of equations with their priors below, shape (n,)."""
-        return np.asarray(self._basis @ (self._basis.T @ whole))
+        return np.asarray(self.basis @ (self.basis.T @ whole))
 
     def cleaned(self, whitened: FloatArray) -> FloatArray:
         """Whitened columns, shape (rows, k), with the nuisances taken out: rows of their priors added."""
-        left = -self._basis @ (self._basis[: self.rows].T @ whitened)
+        left = -self.basis @ (self.basis[: self.rows].T @ whitened)
         left[: self.rows] += whitened
         return np.asarray(left)
 

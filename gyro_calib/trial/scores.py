@@ -189,15 +189,15 @@ def _sizes(o: Outcome) -> Iterable[tuple[float, float, float]]:
 
 def _closed(right: Sequence[Outcome]) -> TrialGate:
     """Closed fraction on unseen experiments, all trials together: each weighs with the gap that it had."""
-    gaps = np.array([(o.verdict.rms_before**2 - 1.0, o.verdict.rms_before**2 - o.verdict.rms_after**2, o.verdict.closed_sd) for o in right])
-    kept = gaps[gaps[:, 0] > 0.0] if gaps.size else gaps
-    if not len(kept):
-        return TrialGate("closed fraction of the gap, unseen experiments", math.nan, math.nan, math.nan, 0, lower=0.90)
-    total = float(kept[:, 0].sum())
-    closed = float(kept[:, 1].sum()) / total
-    half = _SIGMAS * float(np.sqrt(np.sum((kept[:, 0] * kept[:, 2]) ** 2))) / total
     name = "closed fraction of the gap, unseen experiments"
-    return TrialGate(name, closed, closed - half, closed + half, len(kept), lower=0.90, judged=closed, exact=(closed - half, closed + half))
+    shrunk = [(o.verdict.rms_before**2 - o.verdict.rms_after**2, o.verdict.closed, o.verdict.closed_sd) for o in right]
+    told = np.array([(gain / closed, gain, sd) for gain, closed, sd in shrunk if closed != 0.0])
+    if not len(told):
+        return TrialGate(name, math.nan, math.nan, math.nan, 0, lower=0.90)
+    gaps, gains, sds = told.T
+    closed = float(gains.sum() / gaps.sum())
+    half = _SIGMAS * float(np.sqrt(np.sum((gaps * sds) ** 2)) / gaps.sum())
+    return TrialGate(name, closed, closed - half, closed + half, len(told), lower=0.90, judged=closed, exact=(closed - half, closed + half))
 
 
 def by_severity(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
