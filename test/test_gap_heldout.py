@@ -186,7 +186,7 @@ def test_what_leaves_most_of_unseen_experiments_is_not_of_its_form(closed: float
 def test_none_is_believed_no_more_than_trials_allow() -> None:
     """Of what is there a sixth is not seen: no campaign makes a healthy device certain."""
     nothing = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=-9.0)})
-    doubtful = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=7.0)})
+    doubtful = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=9.0)})
     beside = SpectralEffects((), (), None, 0.0)
     (sure, unnamed), (unsure, _) = (_probabilities(cast(Selection, s), beside, None) for s in (nothing, doubtful))
     assert 0.8 < sure < 0.87

@@ -34,6 +34,8 @@ __all__ = ["diagnose"]
 
 #: a healthy device is believed this often before any recording; what is there and was not seen in trials, and how much of that has no name
 _NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
+#: log evidence of which healthy devices reach some
+_DOUBTFUL = 6.0
 #: of what trials found unknown, what was, and what was none; the rest has a name
 _UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.7, 0.05
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
@@ -240,10 +242,10 @@ def _probabilities(selection: Selection, beside: SpectralEffects, unknown: Unkno
     if found:
         # what is not this effect is another or unnamed: against none the evidence itself speaks
         strongest = max((e.log_evidence for e in selection.effects), default=50.0)
-        none = 1.0 / (1.0 + math.exp(min(0.5 * (strongest - 4.0), 50.0)))
+        none = 1.0 / (1.0 + math.exp(min(0.5 * (strongest - _DOUBTFUL), 50.0)))
         return none, max(1.0 - max(found) - none, 0.0)
     best = max((s.log_evidence for s in selection.screened.values()), default=-10.0)
-    something = (1.0 - _NONE_BEFORE) * (math.exp(min(0.5 * (best - 4.0), 50.0)) + _MISSED)
+    something = (1.0 - _NONE_BEFORE) * (math.exp(min(0.5 * (best - _DOUBTFUL), 50.0)) + _MISSED)
     none = _NONE_BEFORE / (_NONE_BEFORE + something)
     return none, _NAMELESS * min(1.0 - none, _MISSED)
 

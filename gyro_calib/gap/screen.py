@@ -1,9 +1,10 @@
 """How much of the gap each effect explains that no nuisance does: projected screening, with evidence.
 
 For whitened columns S of an effect and the nuisances' orthonormal basis Q (their priors included as rows), S~ = (I - Q Q^T) S is what the
-nuisances cannot imitate, T = |U^T e|^2 with U = orth(S~) the chi-square it takes away, and with a Gaussian prior of the registry's typical
-sizes the evidence against none has the closed form ``ln B = b^T (F + L^-1)^-1 b / 2 - ln det(1 + L F) / 2``, b = S~^T e, F = S~^T S~; no
-direction pays for more than a range of 300 standard deviations.
+nuisances cannot imitate, and T = |U^T e|^2 with U = orth(S~) the chi-square it takes away. With a Gaussian prior of covariance L the
+evidence against none has the closed form ``ln B = b^T (F + L^-1)^-1 b / 2 - ln det(1 + L F) / 2``, b = S~^T e, F = S~^T S~. L is that of
+the registry's typical sizes times a common factor that nobody knows, from 1 down to where nothing of it shows: one device has an effect a
+thousand times smaller than another, but not one of its gains without the others. So the factor is paid for once, not by every size.
 """
 
 from __future__ import annotations
@@ -27,9 +28,8 @@ FloatArray = NDArray[np.float64]
 _ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
 #: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
 _PRICE = 3.4
-#: prior range over standard deviation beyond which a direction costs no more: the registry's typical sizes are those of all devices, and a
-#: hemisphere that tells a millionth of what rings have would need a chi-square of 45 where 28 tells the effect from none
-_WIDEST = 300.0
+#: factors of the prior's variances that are tried, from one to the next
+_FACTOR = 10.0**-0.5
 
 
 def worth(gain: float, directions: int, choices: int) -> float:
@@ -190,7 +190,14 @@ class Screener:
         told = (s[:, None] * vt) * (scale * candidate.prior_sd)
         variances, axes = np.linalg.eigh(told @ told.T)
         variances = np.maximum(variances, 0.0)
-        shrunk = variances / (1.0 + variances) * (axes.T @ inside) ** 2
-        priced = np.log1p(np.minimum(variances, _WIDEST**2))
-        log_evidence = 0.5 * float(np.sum(shrunk - priced)) - math.log(candidate.choices)
+        log_evidence = _log_evidence(variances, (axes.T @ inside) ** 2) - math.log(candidate.choices)
         return Screened(candidate, float(inside @ inside), max(int((variances > 1.0).sum()), 1), log_evidence, values, sd, absorbed, u)
+
+
+def _log_evidence(variances: FloatArray, squares: FloatArray) -> float:
+    """Against none, of what is there in independent directions, with prior variances up to these: the mean over their common factor."""
+    count = 1 + int(math.log(max(float(variances.max()), 1.0)) / -math.log(_FACTOR))
+    tried = variances * _FACTOR ** np.arange(count)[:, None]
+    each = 0.5 * np.sum(tried / (1.0 + tried) * squares - np.log1p(tried), axis=1)
+    most = float(each.max())
+    return most + math.log(float(np.mean(np.exp(each - most))))

@@ -30,11 +30,11 @@ __all__ = [
 ]
 
 #: least log evidence and chi-square of an effect that is taken up
-MARGIN, LEAST_GAIN = 8.0, 25.0
+MARGIN, LEAST_GAIN = 10.0, 25.0
 #: a share of the gap that is left after the best set, from which on something is missing from the catalogue; and its significance
 LEFT_SHARE, LEFT_SIGMA = 0.04, 6.0
-#: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do
-BANK_MARGIN = 7.0
+#: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do, and chi-square
+BANK_MARGIN, _BANK_GAIN = 5.0, 39.0
 #: how much better an anonymous term must be than the registry
 _BETTER = 12.0
 #: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 13 in 24 healthy campaigns, 18 in another
@@ -71,7 +71,7 @@ class Stranger:
 
 def unnamed_counts(found: Screened, effects: Sequence[Screened]) -> bool:
     """Whether an unnamed term is more than what a hundred of them reach by chance, and more than what first order leaves of the effects."""
-    least = max(LEAST_GAIN + 2.0 * BANK_MARGIN, LEFT_SHARE * sum(e.gain for e in effects))
+    least = max(_BANK_GAIN, LEFT_SHARE * sum(e.gain for e in effects))
     return worth_of(found) > MARGIN + BANK_MARGIN and found.gain > least
 
 
