@@ -177,9 +177,9 @@ _OF_DRIVE = ("|u|^2 x, u the drives", "|u|^2 x, u the drives, crossed", "u_x u_y
 _OF_MOTION = ("|p_j|^2 x_j, p the motion",)
 #: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis
 _OF_FLOW = ("|x|^2 x, crossed",)
-#: effects of a level, tried with any share of what lies beyond it: a knee that is soft
+#: effects of a level, tried with any share of what lies beyond it: a knee that is soft; and of whose levels a loss or a stiffness may begin
 _KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}
-_KNEE_STEP = 2
+_OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2
 
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
@@ -223,16 +223,29 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
 
 
 def _knees(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
-    """What lies beyond a level grows otherwise, by any share."""
+    """What lies beyond a level grows otherwise, by any share; or a loss, or a stiffness, begins there."""
+    knees = [(kind, "in phase", FORMS[name], 1.0, name) for name, kind in _KNEES.items()]
+    knees += [("flow", phase, Form(_beyond(factor)), 0.1, _OF_MOTIONS_LEVELS) for phase, factor in _PHASES]
     found = []
-    for name, kind in _KNEES.items():
-        settings = FORMS[name].settings([r.signals for r in evidence])[::_KNEE_STEP]
-        made = forms_columns(evidence, [(FORMS[name], setting) for setting in settings], linear)
+    for kind, phase, form, prior_sd, levels in knees:
+        settings = FORMS[levels].settings([r.signals for r in evidence])[::_KNEE_STEP]
+        made = forms_columns(evidence, [(form, setting) for setting in settings], linear)
         for setting, columns in zip(settings, made, strict=True):
             if any(np.any(v) for c in columns for v in c.signal):
-                term = Anonymous(LOCATIONS[kind], "in phase", f"what lies beyond {setting['level']:.3g} V", "amplitude")
-                found.append((term, Candidate(term.name, setting, tuple(columns), np.array([1.0]), len(settings))))
+                term = Anonymous(LOCATIONS[kind], phase, f"what lies beyond {setting['level']:.3g} V", "amplitude")
+                found.append((term, Candidate(term.name, setting, tuple(columns), np.full(len(columns), prior_sd), len(settings))))
     return found
+
+
+def _beyond(factor: complex) -> Callable[[Signals, Linear, Setting], list[Part]]:
+    """A force by the motion beyond a level."""
+
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        x = s.pick - s.drive @ d.E.T
+        size = _norm(x)
+        return [Part("c", "flow", factor * np.maximum(size - setting["level"], 0.0) / np.maximum(size, 1e-9) * x)]
+
+    return parts
 
 
 def _form(kind: Kind, monomials: list[Monomial], factor: complex, *, at_once: bool) -> Form:

@@ -1,0 +1,72 @@
+"""What no name of the registry fits, on a healthy ring's equations to which one effect's own were added."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from table_samples import looked_at, on_a_table
+
+from gyro_calib.gap.columns import Column
+from gyro_calib.gap.linear_device import target_of
+from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.screen import Candidate, Screener
+from gyro_calib.gap.select import Selection, select_effects
+
+SNR = 25.0
+
+
+def with_effects(model: CampaignModel, columns: Sequence[Column]) -> CampaignModel:
+    """The campaign with each of these beside what is there, as large as makes it the SNR beside the nuisances."""
+    sizes = [SNR / float(np.linalg.norm(model.screener.projected([c])[0])) for c in columns]
+    added = [sum(size * c.signal[k] for size, c in zip(sizes, columns, strict=True)) for k in range(len(model.evidence))]
+    recordings = tuple(
+        replace(r, signal=replace(r.signal, lhs=r.signal.lhs + more / r.turn)) for r, more in zip(model.evidence, added, strict=True)
+    )
+    evidence = replace(model.evidence, recordings=recordings)
+    screener = Screener(model.whitener, model.nuisances, target_of(evidence, model.linear.angular_gain))
+    return replace(model, evidence=evidence, screener=screener)
+
+
+def selected(columns: Sequence[Column]) -> Selection:
+    return select_effects(with_effects(looked_at(on_a_table()), columns))
+
+
+def knee(phase: str) -> Candidate:
+    """Of the motion, a little above the amplitude in the middle."""
+    model = looked_at(on_a_table())
+    middle = float(np.median([np.median(np.linalg.norm(np.abs(r.signals.pick), axis=1)) for r in model.evidence]))
+    knees = [c for term, c in model.bank if (term.location, term.phase) == ("dynamics", phase) and "beyond" in term.form]
+    return min(knees, key=lambda c: abs(float(c.setting["level"]) - 1.1 * middle))
+
+
+@pytest.mark.parametrize("phase", ["in phase", "in quadrature"])
+def test_a_force_that_begins_at_a_level_is_in_the_bank(phase: str) -> None:
+    """A loss of a subharmonic, an end stop: nothing below the level, in proportion to what lies beyond it above."""
+    model, found = looked_at(on_a_table()), knee(phase)
+    level = float(found.setting["level"])
+    sizes = np.array([np.linalg.norm(v) for v in found.columns[0].signal])
+    largest = np.array([np.max(np.linalg.norm(np.abs(r.signals.pick), axis=1)) for r in model.evidence])
+    assert 0 < np.sum(largest > level) < len(largest)
+    assert np.all(sizes[largest < level] < 1e-2 * sizes.max())
+    assert np.all(sizes[largest > 1.1 * level] > 1e-2 * sizes.max())
+
+
+def test_a_loss_that_begins_at_a_level_is_no_effect_of_the_registry() -> None:
+    """Two losses of the registry, one of them negative, explain it nearly: one unnamed term does better."""
+    selection = selected(knee("in phase").columns)
+    assert selection.stranger is not None
+    assert selection.stranger.term.location == "dynamics"
+    assert "beyond" in selection.stranger.term.form
+
+
+def test_two_effects_of_the_registry_are_no_stranger() -> None:
+    model = looked_at(on_a_table())
+    of_one, of_other = model.candidates["nonlinear_damping"][0], model.candidates["pickoff_amplitude_phase"][0]
+    selection = selected([of_one.columns[0], of_other.columns[0]])
+    assert selection.stranger is None
+    names = [set(group) for group in selection.groups]
+    assert any("nonlinear_damping" in g for g in names)
+    assert any("pickoff_amplitude_phase" in g for g in names)
