@@ -96,7 +96,7 @@ def test_a_healthy_device_is_foretold_to_its_noise(share: float) -> None:
     """Whether its constants are as large as they may be or not: where they are not, less than one for every figure is expected."""
     found = [shrinkage(toy(np.zeros(COUNT), seed, share)[0], []) for seed in range(60)]
     assert float(np.mean([s.before for s in found])) == pytest.approx(1.0, abs=0.02)
-    assert all(s.closed == pytest.approx(0.0, abs=1e-9) and s.after == pytest.approx(s.before) for s in found)
+    assert all(s.closed == 0.0 and s.after == s.before for s in found)
 
 
 @pytest.mark.parametrize("told", [shrinkage, shrinkage_of_halves])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gyro_calib.gap import diagnose
 from gyro_calib.gap.columns import Column, form_columns
-from gyro_calib.gap.evidence import STEADY, WARMING
+from gyro_calib.gap.evidence import MEAN_LINE, STEADY, WARMING
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import quiet_target_of, target_of
 from gyro_calib.gap.model import CampaignModel, _wander_of_means, look_at
@@ -252,3 +252,20 @@ def test_what_has_no_name_is_no_noise() -> None:
 def test_beside_one_of_twins_the_other_is_not_tried() -> None:
     assert with_twins(["pickoff_delay", "duffing"]) == {"pickoff_delay", "drive_delay", "duffing"}
     assert with_twins(["drive_memory"]) == {"drive_memory", "pickoff_memory"}
+
+
+def test_a_record_has_one_frequency_of_its_own_and_no_second_one() -> None:
+    """Where a resonance lay is a nuisance whose size is measured: the mean's line holds no walk beside it, and no other line's noise."""
+    model = healthy("ring")
+    for r, (along, across) in zip(model.evidence, model.whitener.factors, strict=True):
+        lines = r.lines("frequency")
+        if not r.is_wave or not lines.is_mean.any():
+            continue
+        (mean,) = np.flatnonzero(lines.is_mean)
+        noise = across @ across.T
+        others = np.arange(noise.shape[0]) != mean
+        assert np.all(noise[mean, others] == 0.0)
+        assert np.any((along @ along.T)[mean, others] != 0.0)
+        carried_on = replace(lines, frequency_hz=np.where(lines.is_mean, MEAN_LINE / r.recording.duration_s, lines.frequency_hz))
+        law = model.noise[r.noise_key("frequency")]
+        assert law.slow(lines)[mean] <= 0.05 * law.slow(carried_on)[mean]

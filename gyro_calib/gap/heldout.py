@@ -180,17 +180,18 @@ class _Unseen:
 
     def shrinkage(self, parts: Sequence[_HeldOut]) -> Shrinkage:
         """Of all that was held out, part by part."""
-        before = after = noise = foretold = 0.0
+        before = gain = noise = foretold = 0.0
         gains: list[_Improved] = []
         for out in parts:
             sizes = self.told(out, self._order)[0]
             effect = out.shown @ sizes
             gains += self._improved(out, sizes)
             before += float(out.missed @ out.missed)
-            after += float(np.sum((out.missed - effect) ** 2))
+            gain += float(2.0 * out.missed @ effect - effect @ effect)
             foretold += float(effect @ effect)
             noise += out.missed.size - float(np.sum((out.heard @ self._smaller) * out.heard))
-        closed, sd = _closed(before - after, foretold, after - noise, noise)
+        after = before - gain
+        closed, sd = _closed(gain, foretold, after - noise, noise)
         labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)
         rates = [
             math.sqrt(float(np.mean([rate**2 for rate in side]))) if side else 0.0

@@ -57,7 +57,7 @@ _SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
 _PAIRED = 8
 #: a share that multiplies an effect whose size is its setting must be near one
-_SHARES, _ROUGH_SHARES = (0.6, 1.7), (0.4, 2.5)
+_SHARES, _ROUGH_SHARES, _SHARE_SD = (0.6, 1.7), (0.4, 2.5), 0.25
 #: a lag of the thermometer that is long against a ramp [s]
 _BENDING_LAG_S = 0.5
 #: log evidence that turned recordings may add to an effect that has nothing to do with rate and stands at the margin
@@ -305,7 +305,7 @@ def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidat
     def evidence(value: float) -> float:
         at = model.candidate(candidate.name, {**candidate.setting, key: value})
         found = screener.screen(at)
-        tried[value] = (found.log_evidence if found is not None and physical(found) else -np.inf, at)
+        tried[value] = (_worth_at_its_level(found) if found is not None and physical(found) else -np.inf, at)
         return tried[value][0]
 
     evidence(here)
@@ -322,6 +322,12 @@ def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidat
             b = high - share * (high - low)
             at_b = evidence(b)
     return max(tried.values(), key=lambda pair: pair[0])[1]
+
+
+def _worth_at_its_level(found: Screened) -> float:
+    """Log evidence, less what speaks against a level of which not all is taken: where little lies beyond it levels are nearly alike."""
+    share = found.sizes()["share"][0] if "level" in found.candidate.setting else 1.0
+    return found.log_evidence - 0.5 * ((share - 1.0) / _SHARE_SD) ** 2
 
 
 def _without(chosen: Sequence[Candidate], k: int) -> list[Candidate]:

@@ -35,7 +35,7 @@ MARGIN, LEAST_GAIN = 10.0, 25.0
 LEFT_SHARE, LEFT_SIGMA = 0.04, 6.0
 #: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do, and chi-square
 BANK_MARGIN, _BANK_GAIN = 5.0, 39.0
-#: how much better an anonymous term must be than the registry's one effect; several that one term does better than are that term
+#: how much better an anonymous term must be than any one effect of the registry; several that it does better than are that term
 _BETTER = 12.0
 #: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 13 in 24 healthy campaigns, 18 in another
 _COURSE_MARGIN = 10.0
@@ -89,7 +89,8 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
             return Stranger(term, best, nearest)
         if chosen:
             alone = max(_unnamed(model, model.screener), key=lambda pair: worth_of(pair[0]), default=None)
-            named = _set_worth(model, chosen) + (_BETTER if len(chosen) == 1 else 0.0)
+            one = max((worth_of(s, own_directions(s)) for s in (*first, *model.screener.screened(chosen))), default=0.0)
+            named = max(_set_worth(model, chosen), one + _BETTER)
             if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects)):
                 return Stranger(alone[1], alone[0], nearest)
         if significant > LEFT_SIGMA and share > LEFT_SHARE:

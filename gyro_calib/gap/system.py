@@ -11,7 +11,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from .columns import Column
-from .evidence import CHANNELS, CampaignEvidence
+from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .noise_law import NoiseLaw
 
 __all__ = ["NoiseByRole", "Solution", "Whitener", "factored", "solve", "with_priors"]
@@ -68,7 +68,8 @@ class Whitener:
                 channels = [CHANNELS[2 * side + part] for side in range(2)]
                 density = np.concatenate([more.get((r.index, c), 1.0) * noise[r.noise_key(c)].density(r.lines(c)) for c in channels])
                 sd = np.sqrt(density)
-                pair.append(np.linalg.cholesky(r.signal.gram * np.outer(sd, sd) + 1e-12 * np.diag(density)))
+                alike = _of_its_own_mean(r) if part else r.signal.gram
+                pair.append(np.linalg.cholesky(alike * np.outer(sd, sd) + 1e-12 * np.diag(density)))
             factors.append((pair[0], pair[1]))
         return cls(tuple(factors))
 
@@ -115,6 +116,15 @@ class Solution:
     def by_name(self) -> dict[str, float]:
         """Values by name."""
         return {c.name: float(v) for c, v in zip(self.columns, self.values, strict=True)}
+
+
+def _of_its_own_mean(r: RecordingEvidence) -> FloatArray:
+    """Correlations of a recording's test functions, a frequency's mean apart: what it is beyond the recording's own is no line's."""
+    apart = np.zeros(r.signal.lhs.size, dtype=bool)
+    if r.is_wave:
+        lines = r.lines("frequency")
+        apart[: lines.is_mean.size] = lines.is_mean
+    return np.where(apart[:, None] == apart, r.signal.gram, 0.0)
 
 
 def _inverse(factor: FloatArray) -> FloatArray:
