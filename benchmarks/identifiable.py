@@ -1,6 +1,6 @@
 """How often an effect is found and named in one step if nothing but white noise stands in the way.
 
-python benchmarks/identifiable.py [--kind ring hemisphere] [--snr 8 12] [--draws 20] [--units 1] [--seed 4242] [--jobs 2]
+python benchmarks/identifiable.py [--kind ring hemisphere] [--snr 8 12] [--draws 20] [--noise 0] [--units 1] [--seed 4242] [--jobs 2]
 
 Each effect at a size that `gyro-calib blind-trial` would draw, in its own linear form, beside the nuisances of a clean campaign whose noise
 is taken as known; what is drawn again and again is the white noise and the nuisances' own sizes. An effect is found when its evidence on
@@ -61,12 +61,21 @@ def shares(draws: int, job: tuple[str, int, int, str, float]) -> tuple[str, str,
     return kind, name, snr, found, right
 
 
+def in_noise_alone(kind: str, seed: int, number: int, draws: int) -> np.ndarray:
+    """Largest log evidence of any effect in each draw of noise alone, shape (draws,); -inf where none explains anything."""
+    model, rng = _reference(kind, seed, number, "standard"), np.random.default_rng([seed, number])
+    nothing = np.zeros_like(model.screener.left)
+    found = (best_of_each(drawn(model.screener, nothing, rng), model.candidates) for _ in range(draws))
+    return np.array([ranked[0].log_evidence if ranked else -np.inf for ranked in found])
+
+
 def main() -> None:
     """A line for every effect that falls short, and the shares of all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kind", nargs="+", choices=("ring", "hemisphere"), default=["ring", "hemisphere"])
     parser.add_argument("--snr", nargs="+", type=float, default=[8.0, 12.0])
     parser.add_argument("--draws", type=int, default=20)
+    parser.add_argument("--noise", type=int, default=0, help="draws of noise alone: what log evidence none reaches by chance")
     parser.add_argument("--units", type=int, default=1)
     parser.add_argument("--seed", type=int, default=4242)
     parser.add_argument("--jobs", type=int, default=2)
@@ -89,6 +98,11 @@ def main() -> None:
                     f"{kind:10s} {name:30s} SNR {snr:4.0f}  found {found / options.draws:.2f}  named right {right / options.draws:.2f}",
                     flush=True,
                 )
+    for kind in options.kind if options.noise else ():
+        largest = np.quantile(in_noise_alone(kind, options.seed, 0, options.noise), [0.5, 0.9, 0.99])
+        print(
+            f"{kind:10s} noise alone, {options.noise} draws: largest log evidence 50, 90, 99 %: " + ", ".join(f"{q:.1f}" for q in largest)
+        )
     for (kind, snr), counts in sorted(total.items()):
         found, right = np.sum(counts, axis=0) / (len(counts) * options.draws)
         print(f"{kind:10s} all {len(counts)} effects, SNR {snr:4.0f}: found {found:.3f}, named right {right:.3f}")

@@ -122,6 +122,22 @@ def test_what_a_healthy_device_has_as_well_is_its_nuisance_no_longer() -> None:
     assert (beside.before, beside.after) == pytest.approx((without.before, without.after))
 
 
+def test_what_only_a_recording_itself_tells_is_not_foretold() -> None:
+    """With a nuisance for every equation of each recording nothing is missed, and no noise is expected either."""
+    model, effect = toy(np.full(COUNT, 3.0), 1)
+    zero = np.zeros(ROWS, dtype=complex)
+    own = tuple(
+        Column(f"own_{k}_{j}_{f}", tuple(f * np.eye(ROWS)[j] if i == k else zero for i in range(COUNT)), (), math.inf)
+        for k in range(COUNT)
+        for j in range(ROWS)
+        for f in (1.0 + 0j, 1j)
+    )
+    saturated = SimpleNamespace(**{**vars(model), "nuisances": own, "screener": Screener(model.whitener, own, model.target)})
+    shrunk = shrinkage(cast(CampaignModel, saturated), [effect])
+    assert shrunk.dof == 0
+    assert (shrunk.before, shrunk.after, shrunk.closed) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
 def test_a_noise_that_is_believed_too_large_hides_no_wrong_size() -> None:
     """Of 100 that are there, an effect of twice the size takes none away; chi-square is 300 below its expectation."""
     closed, _ = _closed(gain=0.0, foretold=400.0, left=100.0 - 300.0, noise=1300.0)

@@ -257,15 +257,15 @@ def test_beside_one_of_twins_the_other_is_not_tried() -> None:
 def test_a_record_has_one_frequency_of_its_own_and_no_second_one() -> None:
     """Where a resonance lay is a nuisance whose size is measured: the mean's line holds no walk beside it, and no other line's noise."""
     model = healthy("ring")
-    for r, (along, across) in zip(model.evidence, model.whitener.factors, strict=True):
+    for r, (real, imaginary) in zip(model.evidence, model.whitener.factors, strict=True):
         lines = r.lines("frequency")
         if not r.is_wave or not lines.is_mean.any():
             continue
         (mean,) = np.flatnonzero(lines.is_mean)
-        noise = across @ across.T
+        noise = imaginary @ imaginary.T
         others = np.arange(noise.shape[0]) != mean
         assert np.all(noise[mean, others] == 0.0)
-        assert np.any((along @ along.T)[mean, others] != 0.0)
+        assert np.any((real @ real.T)[mean, others] != 0.0)
         carried_on = replace(lines, frequency_hz=np.where(lines.is_mean, MEAN_LINE / r.recording.duration_s, lines.frequency_hz))
         law = model.noise[r.noise_key("frequency")]
         assert law.slow(lines)[mean] <= 0.05 * law.slow(carried_on)[mean]

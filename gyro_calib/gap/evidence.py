@@ -31,7 +31,7 @@ ComplexArray = NDArray[np.complex128]
 CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
 #: rows per second after thinning
 THIN_HZ = 100.0
-#: effective frequency of a record's mean over one by its duration; of the mean of a frequency
+#: effective frequency of a record's mean over one by its duration; of the mean of a wave's frequency, which walks by a nuisance of its own
 MEAN_LINE, OWN_MEAN_LINE = 0.3, 10.0
 #: keys of the noise of a wave's frequency, of which a temperature moves and of which none does
 STEADY, WARMING = ("wave", "frequency"), ("wave, warming", "frequency")
@@ -82,7 +82,7 @@ class RecordingEvidence:
         f = projector.frequency_hz
         slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
         scale = self.mean_square if channel == "frequency" and self.is_wave else 1.0
-        # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds no noise beside that
+        # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds little noise beside that
         mean = OWN_MEAN_LINE if channel == "frequency" and self.is_wave else MEAN_LINE
         return Lines(np.where(f == 0.0, mean / self.recording.duration_s, f), slope, scale, f == 0.0)
 

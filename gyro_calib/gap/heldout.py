@@ -190,6 +190,8 @@ class _Unseen:
             gain += float(2.0 * out.missed @ effect - effect @ effect)
             foretold += float(effect @ effect)
             noise += out.missed.size - float(np.sum((out.heard @ self._smaller) * out.heard))
+        # of recordings that nothing but themselves tells of there is nothing to foretell
+        noise = max(noise, 1.0)
         after = before - gain
         closed, sd = _closed(gain, foretold, after - noise, noise)
         labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)

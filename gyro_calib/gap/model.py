@@ -218,7 +218,7 @@ def _weighed(
 
 
 def _wander_of_means(evidence: CampaignEvidence, noise: NoiseByRole) -> float:
-    """How far the resonance wanders between records by the noise of their means, sd [rad/s]: what is slower than a record drifts."""
+    """How far the mean frequencies of records are noise beside their own shifts, sd [rad/s]."""
     found = []
     for r in evidence:
         lines = r.lines("frequency")
