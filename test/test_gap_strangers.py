@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,9 +12,13 @@ from table_samples import looked_at, on_a_table
 
 from gyro_calib.gap.columns import Column
 from gyro_calib.gap.linear_device import target_of
-from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.model import CampaignModel, look_at
+from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate, Screener
 from gyro_calib.gap.select import Selection, select_effects
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.units import draw_trial_unit
 
 SNR = 25.0
 
@@ -60,6 +65,20 @@ def test_a_loss_that_begins_at_a_level_is_no_effect_of_the_registry() -> None:
     assert selection.stranger is not None
     assert selection.stranger.term.location == "dynamics"
     assert "beyond" in selection.stranger.term.form
+
+
+def test_friction_of_each_axis_that_the_registry_lacks_is_no_loss_of_the_amplitude() -> None:
+    """A loss of the amplitude's square takes a third of it, with the other sign: unnamed, it is what it is."""
+    unit, rng, friction = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1), "coulomb_friction_axes"
+    plan = campaign_plan("hemisphere", unit.device.factory(), rng, "quick")
+    campaign = record_unit(unit, plan, {friction: {"c_x": 5e-7, "c_y": 9e-7}}, rng)
+    f = campaign.factory
+    model = look_at(
+        usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"], without=(friction, "coulomb_friction")
+    )
+    selection = select_effects(model)
+    assert selection.stranger is not None
+    assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x_j/|x_j|")
 
 
 def test_two_effects_of_the_registry_are_no_stranger() -> None:

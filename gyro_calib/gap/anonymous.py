@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .columns import forms_columns
 from .evidence import CampaignEvidence
-from .forms import FORMS, behind, conjugate_product
+from .forms import AT_REST, FORMS, behind, conjugate_product
 from .memory import remembered
 from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
@@ -65,6 +65,11 @@ def _axis(x: ComplexArray, axis: int) -> ComplexArray:
     out = np.zeros_like(x)
     out[:, axis] = x[:, axis]
     return out
+
+
+def _of_axes(x: ComplexArray) -> FloatArray:
+    """Size of the signal of each axis; of one that is crossed through rest, no less than what keeps its phase from jumping."""
+    return np.asarray(np.sqrt(np.abs(x) ** 2 + (AT_REST * _norm(x)) ** 2)) + 1e-9
 
 
 def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
@@ -138,6 +143,8 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: _norm(s.pick) ** 2),
     ("|x|^4 x", "amplitude"): [lambda s, x: _norm(x) ** 4 * x],
     ("x/|x|", "amplitude"): [lambda s, x: x / (_norm(x) + 1e-9)],
+    ("x_j/|x_j|", "amplitude"): [lambda s, x, k=k: _axis(x / _of_axes(x), k) for k in range(2)],  # type: ignore[misc]
+    ("|x_j| x_j", "amplitude"): [lambda s, x, k=k: _axis(x * _of_axes(x), k) for k in range(2)],  # type: ignore[misc]
     ("x*", "phase reference"): [lambda s, x: x.conj()],
     **_shaped("T x", "temperature", lambda s: s.temperature_k[:, None]),
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
@@ -183,7 +190,7 @@ _OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2
 
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
-_TURNING = ("|x_k|^2 x_j, k the other axis",)
+_TURNING = ("|x_k|^2 x_j, k the other axis", "x_j/|x_j|", "|x_j| x_j")
 #: on what no unnamed reading depends: L of a rate that steps is the table's clock and the recorder's filter, a wave held to the
 #: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away;
 #: its gain follows a resonator's own millikelvins, and so does the frequency

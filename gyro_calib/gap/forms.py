@@ -18,7 +18,7 @@ from .memory import remembered
 from .parts import SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, read_at_once, turned
 from .signals import Signals
 
-__all__ = ["FORMS", "behind", "conjugate_product", "cube"]
+__all__ = ["AT_REST", "FORMS", "behind", "conjugate_product", "cube"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -31,7 +31,7 @@ _UNLIKE: dict[str, ComplexArray] = {
 }
 _STEP = 1e-4
 #: share of the wave below which an axis rests
-_AT_REST = 3e-3
+AT_REST = 3e-3
 _LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008, 0.004, 1.5e-3, 6e-4, 2e-4, 8e-5])
 _COARSE = np.geomspace(0.4, 4.0, 10)
 #: a dead zone that is small against the drive acts in proportion to its level: a coarse grid tells it
@@ -250,7 +250,7 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     p = _motion(s, d)
     if setting["axes"]:
         size = np.sqrt(_square(p))
-        against = -p / np.sqrt(np.abs(p) ** 2 + (_AT_REST * size) ** 2)
+        against = -p / np.sqrt(np.abs(p) ** 2 + (AT_REST * size) ** 2)
         at_rest = -(1.0 - np.abs(against)) * _swapped(p) / (size + 1e-12)
         return [*_by_axis("flow", "c", against), *_by_axis("flow", f"{SKEW}_rest", at_rest / UNEQUAL)]
     return [Part("c", "flow", -_dry(p)), *_skewed(p, _dry, -1.0)]
