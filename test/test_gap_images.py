@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from table_samples import looked_at
 
 from gyro_calib.device import draw_unit, load_device
-from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.images import _mirror
 from gyro_calib.gap.signals import Signals
 from gyro_calib.simulation import GyroSimulator
 
 SAMPLE_HZ, HELD, ROW, SPAN_S = 240_000, 24, 480, 4.0
 CARRIER_HZ, MODULATION_HZ = 14_999.986, 1.5
+CARRIER_OF_HEMISPHERE_HZ = 5_000.303
 
 
 def line(x: NDArray[np.complex128], step_s: float, frequency_hz: float) -> complex:
@@ -76,3 +77,21 @@ def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
     sizes, sds = np.linalg.norm(values, axis=1), np.sqrt(np.diag(covariance)).reshape(-1, 2).max(axis=1)
     assert np.all(np.abs(sizes - 1.0) < 3.0 * sds)
     assert np.average(sizes, weights=sds**-2.0) == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_drives_of_a_wave_that_turns_have_their_image_too() -> None:
+    """A quiet hemisphere, twice whose frequency is 0.6 Hz from a multiple of its loops' rate: the fastest line of its fastest turns."""
+    device = draw_unit(load_device("hrg_hardware"), 5)
+    device = replace(
+        device,
+        resonator=replace(device.resonator, frequency_hz=CARRIER_OF_HEMISPHERE_HZ),
+        noise=replace(device.noise, pickoff_v_rthz=2e-8, drive_v_rthz=2e-8, drive_flicker_v=0.0, thermomechanical=False),
+    )
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"))
+    model = looked_at(run_plan(instrument, gap_whole_angle_plan(device.factory(), quality="quick")))
+    places = [k for k, c in enumerate(model.base.columns) if c.name.startswith("image_")]
+    values, covariance = model.base.values[places].reshape(-1, 2), model.base.covariance[np.ix_(places, places)]
+    sizes, sds = np.linalg.norm(values, axis=1), np.sqrt(np.diag(covariance)).reshape(-1, 2).max(axis=1)
+    seen = sds < 0.3
+    assert seen.any()
+    assert np.all(np.abs(sizes[seen] - 1.0) < 3.0 * sds[seen])

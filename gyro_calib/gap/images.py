@@ -4,8 +4,9 @@ A voltage that is renewed every T holds, besides u(t), images at all multiples o
 carrier f the image of the conjugate lies at n/T - f, and is `u'* T / (2 pi n i)` in size for what changes slowly. Where 2 f is n/T within
 what a record resolves it does not turn any more against the carrier, and a side band is answered by its own mirror: of a ring of
 14999.986 Hz whose loops run at 10 kHz an amplitude modulation of 1.5 Hz left 62 in chi-square in one record (202 in all, without noise;
-5 where the resonance lies 0.06 Hz higher). With n/T = 2 f the size is `u'* / (4 pi f)`, whatever the rate; only the phase, which depends
-on where a record began, is free.
+5 where the resonance lies 0.06 Hz higher). So is the drive that makes a wave precess, which turns with it: of a hemisphere of 5000.303 Hz
+one of 1.7 V at 0.8 rad/s left 50 in the line of one record nearest 0.606 Hz. With n/T = 2 f the size is `u'* / (4 pi f)`, whatever the
+rate; only the phase, which depends on where a record began, is free.
 """
 
 from __future__ import annotations
@@ -16,24 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import Column, part_columns
-from .evidence import CampaignEvidence
+from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import Linear, Part
 from .signals import Signals
 from .tones import RATES_HZ
 
 __all__ = ["image_columns"]
 
-#: how near twice the carrier must be to a multiple of the converters' rates [Hz]
+#: how near twice the carrier must be to a multiple of the converters' rates for the image of an excitation to stand still [Hz]
 _NEAR_HZ = 0.3
+#: angle that a wave must turn by for its drives to turn [rad]; how wide a line is, in lines of its record
+_TURNING_RAD, _LINES = 0.3, 2.0
 
 
 def image_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """Image of the drive in every excited record in which it stands still, two phases, as large as the formula has it.
+    """Image of the drive in every record whose drives turn or are excited and in which it can be seen, two phases, as the formula has it.
 
     That of the reading is the same force to within what the flow tells, and shares the columns.
     """
-    excited = [r for r in evidence if r.is_wave and r.recording.command.excitation.kind != "none"]
-    own = {r.index: mirror for r in excited if (mirror := _mirror(r.signals)) is not None}
+    reaches = {r.index: (r, near_hz) for r in evidence if r.is_wave and (near_hz := _reach_hz(r)) > 0.0}
+    own = {index: mirror for index, (r, near_hz) in reaches.items() if (mirror := _mirror(r.signals, near_hz)) is not None}
     if not own:
         return []
     by_recording = []
@@ -48,11 +51,22 @@ def image_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     return [replace(c, prior_sd=1.0) for c in part_columns(evidence, by_recording, linear)]
 
 
-def _mirror(s: Signals) -> NDArray[np.complex128] | None:
-    """Turns a conjugate into its image [s], shape (n, 1); nothing where the image moves away within the record."""
+def _reach_hz(r: RecordingEvidence) -> float:
+    """How fast an image may turn against the carrier and still be in a line of the record; zero if its drives have none."""
+    if r.recording.command.excitation.kind != "none":
+        return _NEAR_HZ
+    if r.signal.turn_rad < _TURNING_RAD:
+        return 0.0
+    # a conjugate turns against the wave as often as its drives with it
+    turns_hz = r.signal.turn_rad / r.recording.duration_s / np.pi
+    return float(r.lines("amplitude").frequency_hz.max() + turns_hz + _LINES / r.recording.duration_s)
+
+
+def _mirror(s: Signals, near_hz: float = _NEAR_HZ) -> NDArray[np.complex128] | None:
+    """Turns a conjugate into its image [s], shape (n, 1); nothing where the image is farther than that from standing still."""
     twice_hz = s.omega_rad_s / np.pi
     still_hz = RATES_HZ * np.round(twice_hz.mean() / RATES_HZ)
-    if abs(twice_hz.mean() - still_hz) > _NEAR_HZ:
+    if abs(twice_hz.mean() - still_hz) > near_hz:
         return None
     turned = 2.0 * np.pi * np.cumsum(twice_hz - still_hz) * s.row_s
     return np.asarray(np.exp(-1j * turned)[:, None] / (2.0 * np.pi * still_hz))
