@@ -33,10 +33,11 @@ def records(
     tone: tuple[float, float] = (0.0, 0.0),
     gain: float = 0.0,
     clock: float = 0.0,
+    of_each: int = 3,
 ) -> list[Recording]:
     """Held waves of three amplitudes: hum (Hz, V), tone (Hz, V on the pick-off), relative noise of gain and phase per row."""
     found = []
-    for k, amplitude in enumerate((0.6, 1.0, 1.4) * 3):
+    for k, amplitude in enumerate((0.6, 1.0, 1.4) * of_each):
         count = 5000
         t = 20.0 * k + np.arange(count) / ROWS_HZ
         f = carrier_hz[k % len(carrier_hz)]
@@ -78,6 +79,20 @@ def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
     assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
     # what moves the pick-off by that much at 41.7 Hz from resonance
     assert tone.volts[0] == pytest.approx(3e-6 * 2 * np.pi * 41.55 / 8.0, rel=0.1)
+
+
+def test_a_tone_that_no_record_shows_by_itself_stands_in_all_of_them() -> None:
+    for seed in range(3):
+        spectra = pick_spectra(records(np.random.default_rng(seed), tone=(15041.7, 1.3e-7), of_each=10))
+        # a bin of noise alone has one of a hundred above 4.6
+        assert np.median([s.at(np.array([15041.7 - s.carrier_hz]))[0, 0] for s in spectra]) < 7.0
+        tone = find_tone(spectra, LINEAR)
+        assert tone is not None
+        assert tone.name == "external_tone"
+        assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
+        assert tone.volts[0] == pytest.approx(1.3e-7 * 2 * np.pi * 41.55 / 8.0, abs=4.0 * tone.volts_sd[0])
+        assert tone.volts_sd[0] < 0.2 * tone.volts[0]
+        assert tone.volts[1] < 0.5 * tone.volts[0]
 
 
 def test_an_image_of_the_carrier_by_a_converter_is_no_tone() -> None:

@@ -20,7 +20,7 @@ from .columns import Column, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import Linear, Part
 from .signals import Signals
-from .tones import RATES_HZ
+from .spectra import RATES_HZ
 
 __all__ = ["image_columns"]
 

@@ -18,7 +18,7 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .signals import WARMING_K, smooth_temperature
 
-__all__ = ["PickSpectrum", "detrended", "pick_spectra", "plain_records", "steep_window"]
+__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "pick_spectra", "plain_records", "steep_window"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -29,6 +29,11 @@ _LEAST_BINS, _HARMONICS = 30.0, 16.0
 #: power of a Hann window whose side lobes fall below the floor within those bins: a turning wave of a volt stands beside nanovolts
 _POWER = 3
 _SHORTEST_S = 4.0
+#: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz], and [bins],
+#: of which the window's main lobe has four
+RATES_HZ, _IMAGED, _SAME_HZ, _SKIRT_BINS = 100.0, 5, 0.15, 5.0
+#: share of the rows' rate within which the rows' own filter leaves a line
+_PASSED = 0.45
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,23 @@ class PickSpectrum:
     def bin_hz(self) -> float:
         """Distance of two bins."""
         return 1.0 / self.recording.duration_s
+
+    def at(self, away_hz: FloatArray) -> FloatArray:
+        """Power over the floor of both axes at the bins that are nearest, shape (m, 2)."""
+        places = np.round(away_hz / self.bin_hz).astype(int) + self.frequency_hz.size // 2
+        return np.asarray(self.ratio[np.clip(places, 0, len(self.ratio) - 1)])
+
+    def is_image(self, away_hz: FloatArray) -> NDArray[np.bool_]:
+        """Whether each line is a harmonic of this record's carrier folded at a converter's rate, or stands on the skirt of one."""
+        near = max(_SAME_HZ, _SKIRT_BINS * self.bin_hz)
+        harmonics = [k for k in range(-_IMAGED, _IMAGED + 1) if k != 1]
+        rates = self.carrier_hz + away_hz[:, None] - self.carrier_hz * np.array(harmonics)
+        return np.asarray(np.any(np.abs(rates - RATES_HZ * np.round(rates / RATES_HZ)) < near, axis=1))
+
+    def hears(self, away_hz: FloatArray) -> NDArray[np.bool_]:
+        """Whether a line there would be seen: beyond what belongs to the signal, within the rows' rate, and no image."""
+        within = (np.abs(away_hz) > self.clear_hz) & (np.abs(away_hz) < _PASSED * self.recording.sample_rate_hz)
+        return np.asarray(within & ~self.is_image(away_hz))
 
 
 def plain_records(recordings: Sequence[Recording]) -> list[Recording]:
