@@ -34,6 +34,8 @@ _FAINT_MARGIN = 10.0
 _SHOWN, _FEWEST = 8.0, 2
 #: nearer to the carrier than this the loops mirror a tone, and it is not told from a hum [Hz]
 _MIRRORED_HZ = 20.0
+#: what a line between two bins is read too small by, at most
+_BETWEEN_BINS = 0.06
 #: least power of one side band over the other's for both to be those of a hum
 _EVEN = 0.25
 
@@ -161,7 +163,7 @@ def _told(spectra: Sequence[PickSpectrum], line: _Line, linear: Linear, evidence
         frequency_hz=frequency,
         frequency_sd_hz=0.3 * max(s.bin_hz for s in used) / math.sqrt(len(used)),
         volts=volts,
-        volts_sd=0.5 * scatter / np.sqrt(np.maximum(volts**2, scatter)) + 1e-12,
+        volts_sd=np.hypot(0.5 * scatter / np.sqrt(np.maximum(volts**2, scatter)), _BETWEEN_BINS * volts) + 1e-12,
         log_evidence=evidence,
         share=float(np.median([_share(s.recording, f) for s, f in zip(used, places, strict=True)])),
     )
