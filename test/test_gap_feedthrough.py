@@ -12,6 +12,9 @@ from table_samples import on_a_table
 from gyro_calib.gap import diagnose
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.units import draw_trial_unit
 
 ComplexArray = NDArray[np.complex128]
 
@@ -53,3 +56,15 @@ def test_what_feeds_through_out_of_proportion_is_unknown(share: float, volts: ob
     assert verdict.unknown is not None
     assert verdict.unknown.location == "pick-off"
     assert form in verdict.unknown.form
+
+
+def test_each_axis_of_a_hemisphere_feeds_through_by_its_own_motion_and_at_its_own_phase() -> None:
+    """A drive late by 0.4 rad: a stiffness by the drives and a damping of the amplitude's square explained most of it together."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    campaign = record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng)
+    volts = [4e-6 * np.exp(-0.4j) * np.abs(r.pick) ** 2 * r.drive for r in campaign]
+    verdict = diagnose(read_with(campaign, volts))
+    assert verdict.verdict == "unknown"
+    assert verdict.unknown is not None
+    assert (verdict.unknown.location, verdict.unknown.phase) == ("pick-off", "of any phase")
+    assert "u_j, " in verdict.unknown.form

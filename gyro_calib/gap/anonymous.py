@@ -166,6 +166,10 @@ _MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|u|^2 x, u the drives, crossed", "drive"): _crossed(lambda s: _norm(s.drive) ** 2),
     **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 3.0)),
     **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: _norm(s.drive) ** 2, lambda s: _warmed(s, 15.0)),
+    ("|u_j|^2 x_j, u the drives", "drive"): [
+        lambda s, x, k=k: _axis(np.abs(s.drive) ** 2 * x, k)
+        for k in range(2)  # type: ignore[misc]
+    ],
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
     ("|p_j|^2 x_j, p the motion", "amplitude"): [
         lambda s, x: _axis(_by_motion(s.pick, x), 0),
@@ -177,10 +181,23 @@ _FED: dict[tuple[str, str], list[Monomial]] = {
     ("|u|^2 u, u the drives", "drive"): [lambda s, x: _norm(s.drive) ** 2 * s.drive],
     ("|u_j|^2 u_j, u the drives", "drive"): [lambda s, x, k=k: _axis(np.abs(s.drive) ** 2 * s.drive, k) for k in range(2)],  # type: ignore[misc]
     ("|p|^2 u, p the motion, u the drives", "amplitude"): [lambda s, x: _norm(s.pick) ** 2 * s.drive],
+    ("|p_j|^2 u_j, p the motion, u the drives", "amplitude"): [
+        lambda s, x, k=k: _axis(np.abs(s.pick) ** 2 * s.drive, k)
+        for k in range(2)  # type: ignore[misc]
+    ],
+    ("|p_k|^2 u_j, k the other axis, p the motion, u the drives", "amplitude"): [
+        lambda s, x, k=k: _axis(np.abs(s.pick[:, ::-1]) ** 2 * s.drive, k)
+        for k in range(2)  # type: ignore[misc]
+    ],
     ("t u, u the drives", "time"): [lambda s, x: s.time_s[:, None] * s.drive],
 }
 #: terms that only tell anything new of a signal other than their own
-_OF_DRIVE = ("|u|^2 x, u the drives", "|u|^2 x, u the drives, crossed", "u_x u_y x on the other axis, u the drives")
+_OF_DRIVE = (
+    "|u|^2 x, u the drives",
+    "|u|^2 x, u the drives, crossed",
+    "|u_j|^2 x_j, u the drives",
+    "u_x u_y x on the other axis, u the drives",
+)
 _OF_MOTION = ("|p_j|^2 x_j, p the motion",)
 #: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis
 _OF_FLOW = ("|x|^2 x, crossed",)
@@ -190,7 +207,14 @@ _OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2
 
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
-_TURNING = ("|x_k|^2 x_j, k the other axis", "x_j/|x_j|", "|x_j| x_j")
+_TURNING = (
+    "|x_k|^2 x_j, k the other axis",
+    "x_j/|x_j|",
+    "|x_j| x_j",
+    "|u_j|^2 x_j, u the drives",
+    "|p_j|^2 u_j, p the motion, u the drives",
+    "|p_k|^2 u_j, k the other axis, p the motion, u the drives",
+)
 #: on what no unnamed reading depends: L of a rate that steps is the table's clock and the recorder's filter, a wave held to the
 #: reference is its own conjugate, and a filter of the pick-off is that of the drive but for the noise, which both together explain away;
 #: its gain follows a resonator's own millikelvins, and so does the frequency
@@ -206,8 +230,11 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
     """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
     forms, found = [], []
     for (text, depends), monomials in _FED.items():
-        for phase, factor in _PHASES:
-            forms.append((Anonymous(LOCATIONS["output"], phase, text, depends), _form("output", monomials, factor, at_once=False)))
+        if text in _TURNING and not evidence.turns:
+            continue
+        # a stray capacitance has the phase that it has, as the feedthrough itself does
+        both: list[Monomial] = [lambda s, x, f=f, q=q: q * f(s, x) for f in monomials for q in (1.0, 1j)]  # type: ignore[misc]
+        forms.append((Anonymous(LOCATIONS["output"], _ANY_PHASE[0][0], text, depends), _form("output", both, 1.0, at_once=False)))
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in _MONOMIALS.items():
             if text in _TURNING and not evidence.turns:
