@@ -1,0 +1,144 @@
+"""Monomials that the symmetry of two modes allows: what an unnamed term may be a multiple of, and what must vary for it to show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .forms import AT_REST, behind, conjugate_product
+from .memory import remembered
+from .signals import Signals
+
+__all__ = ["FED", "LATE", "LATE_APART", "LATE_S", "MONOMIALS", "RISING", "Monomial", "size_of"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Monomial = Callable[[Signals, ComplexArray], ComplexArray]
+Factor = Callable[[Signals], FloatArray | ComplexArray]
+
+
+def size_of(x: ComplexArray) -> FloatArray:
+    """Of both axes together, shape (n, 1)."""
+    return np.asarray(np.sqrt(np.sum(np.abs(x) ** 2, axis=1))[:, None])
+
+
+def _axis(x: ComplexArray, axis: int) -> ComplexArray:
+    out = np.zeros_like(x)
+    out[:, axis] = x[:, axis]
+    return out
+
+
+def _of_axes(x: ComplexArray) -> FloatArray:
+    """Size of the signal of each axis; of one that is crossed through rest, no less than what keeps its phase from jumping."""
+    return np.asarray(np.sqrt(np.abs(x) ** 2 + (AT_REST * size_of(x)) ** 2)) + 1e-9
+
+
+def _on_each(f: Monomial) -> list[Monomial]:
+    """One axis of it, and the other."""
+    return [lambda s, x, k=k: _axis(f(s, x), k) for k in range(2)]  # type: ignore[misc]
+
+
+def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
+    return lambda s, x: f(s)[:, None] * x
+
+
+def _each(*factors: Factor) -> list[Monomial]:
+    """Factors, each of shape (n, 1), times the signal of one axis and of the other."""
+    return [each for f in factors for each in _on_each(lambda s, x, f=f: f(s) * x)]  # type: ignore[misc]
+
+
+def _crossed(*factors: Factor) -> list[Monomial]:
+    """Factors times the signal of the other axis."""
+    return [each for f in factors for each in _on_each(lambda s, x, f=f: f(s) * x[:, ::-1])]  # type: ignore[misc]
+
+
+def _shaped(text: str, depends: str, *factors: Factor) -> dict[tuple[str, str], list[Monomial]]:
+    """Factors times the signal, alike on both axes, other on each, and across."""
+    alike: list[Monomial] = [lambda s, x, f=f: f(s) * x for f in factors]  # type: ignore[misc]
+    return {
+        (text, depends): alike,
+        (f"{text}, other on each axis", depends): _each(*factors),
+        (f"{text}, crossed", depends): _crossed(*factors),
+    }
+
+
+def _in_step(x: ComplexArray) -> FloatArray:
+    """Mean of the product of both axes over a cycle, twice."""
+    return np.asarray((x[:, 0] * x[:, 1].conj()).real)
+
+
+def _by_motion(p: ComplexArray, x: ComplexArray) -> ComplexArray:
+    """Twice the fundamental of m^2 x, m the motion's volts of each axis: a force across a gap that closes."""
+    return np.asarray(np.abs(p) ** 2 * x + 0.5 * p**2 * x.conj())
+
+
+def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
+    """Through a low-pass, begun settled: what went before is not known of an unnamed signal."""
+    return remembered(replace(s, before=None), lambda _: x, tau_s)
+
+
+def _warmed(s: Signals, tau_s: float) -> FloatArray:
+    """How far the drives' power of some time is behind that of now, shape (n, 1)."""
+    now = size_of(s.drive) ** 2
+    return s.once(("warmed", tau_s), None, lambda: np.asarray(remembered(s, _power, tau_s).real - now))
+
+
+def _power(s: Signals) -> ComplexArray:
+    return (size_of(s.drive) ** 2).astype(np.complex128)
+
+
+#: of either axis, in step with the reference and a quarter of a cycle behind it: what is constant has no phase to grow from
+_CONSTANTS = [lambda x, k=k, f=f: _axis(np.full_like(x, f), k) for k in range(2) for f in (1.0, 1j)]
+#: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
+LATE, LATE_S = "(T - T of 20 s before) x", 20.0
+RISING = "dT/dt x"
+LATE_APART = f"{LATE}, other on each axis"
+#: monomials of a signal x by what they depend on; those of one entry are tried together
+MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
+    ("|x| x", "amplitude"): [lambda s, x: size_of(x) * x],
+    ("|x|^2 x", "amplitude"): [lambda s, x: size_of(x) ** 2 * x, lambda s, x: conjugate_product(x)],
+    ("|x_j|^2 x_j", "amplitude"): _on_each(lambda s, x: np.abs(x) ** 2 * x),
+    ("|x_k|^2 x_k on the other axis", "amplitude"): _on_each(lambda s, x: (np.abs(x) ** 2 * x)[:, ::-1]),
+    ("|x_k|^2 x_j, k the other axis", "amplitude"): _on_each(lambda s, x: np.abs(x[:, ::-1]) ** 2 * x),
+    ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: size_of(s.pick) ** 2),
+    ("|x|^4 x", "amplitude"): [lambda s, x: size_of(x) ** 4 * x],
+    ("x/|x|", "amplitude"): [lambda s, x: x / (size_of(x) + 1e-9)],
+    ("x_j/|x_j|", "amplitude"): _on_each(lambda s, x: x / _of_axes(x)),
+    ("|x_j| x_j", "amplitude"): _on_each(lambda s, x: x * _of_axes(x)),
+    ("x*", "phase reference"): [lambda s, x: x.conj()],
+    **_shaped("T x", "temperature", lambda s: s.temperature_k[:, None]),
+    ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
+    (RISING, "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
+    **_shaped(LATE, "temperature", lambda s: behind(s, LATE_S)),
+    **_shaped("t x", "time", lambda s: s.time_s[:, None]),
+    ("Omega x", "rate"): [_by(lambda s: s.rate_rad_s)],
+    ("Omega x, crossed", "rate"): _crossed(lambda s: s.rate_rad_s[:, None]),
+    ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
+    ("Omega^2 x, crossed", "rate"): _crossed(lambda s: (s.rate_rad_s**2)[:, None]),
+    ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
+    ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],
+    ("x of 0.1 s before", "speed of change"): [lambda s, x: _late(s, x, 0.1)],
+    ("x of 1 s before", "speed of change"): [lambda s, x: _late(s, x, 1.0)],
+    ("x/(1 + i 10 Hz away)", "frequency"): [lambda s, x: x / (1.0 + 0.1j * (s.omega_rad_s - s.omega0_rad_s) / (2.0 * np.pi))[:, None]],
+    ("a constant", "reference"): [lambda s, x, c=c: float(s.recording.command.mode != "loops_off") * c(x) for c in _CONSTANTS],  # type: ignore[misc]
+    ("a constant, also in open drive", "reference"): [lambda s, x, c=c: c(x) for c in _CONSTANTS],  # type: ignore[misc]
+    ("|u|^2 x, u the drives", "drive"): [lambda s, x: size_of(s.drive) ** 2 * x],
+    ("|u|^2 x, u the drives, crossed", "drive"): _crossed(lambda s: size_of(s.drive) ** 2),
+    **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 3.0)),
+    **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 15.0)),
+    ("|u_j|^2 x_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * x),
+    ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
+    ("|p_j|^2 x_j, p the motion", "amplitude"): _on_each(lambda s, x: _by_motion(s.pick, x)),
+}
+#: what feeds through and is not in proportion to the drive: a varactor, a stray capacitance that the motion moves
+FED: dict[tuple[str, str], list[Monomial]] = {
+    ("|u|^2 u, u the drives", "drive"): [lambda s, x: size_of(s.drive) ** 2 * s.drive],
+    ("|u_j|^2 u_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * s.drive),
+    ("|p|^2 u, p the motion, u the drives", "amplitude"): [lambda s, x: size_of(s.pick) ** 2 * s.drive],
+    ("|p_j|^2 u_j, p the motion, u the drives", "amplitude"): _on_each(lambda s, x: np.abs(s.pick) ** 2 * s.drive),
+    ("|p_k|^2 u_j, p the motion of the other axis", "amplitude"): _on_each(lambda s, x: np.abs(s.pick[:, ::-1]) ** 2 * s.drive),
+    ("t u, u the drives", "time"): [lambda s, x: s.time_s[:, None] * s.drive],
+}
