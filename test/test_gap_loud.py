@@ -8,20 +8,31 @@ from typing import cast
 import numpy as np
 import pytest
 
+from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.loud import loudest
 from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.noise_law import Lines, NoiseLaw
+
+LINES = Lines(np.array([0.02, 0.1, 0.2]), np.array([0.01, 0.01, 0.04]), 1.0, np.array([True, False, False]))
 
 
-def model(excess: dict[tuple[int, str], float], turned: int = -1) -> CampaignModel:
+def model(excess: dict[tuple[int, str], float], turned: int = -1, *, warmed: int = -1, louder: float = 1.0) -> CampaignModel:
     recordings = [
         SimpleNamespace(
             index=k,
             signal=SimpleNamespace(lhs=np.zeros(20, dtype=complex)),
             recording=SimpleNamespace(label=f"run_{k}", extras={"applied_rate": {}} if k == turned else {}),
+            is_warming=k == warmed,
+            is_wave=True,
+            parent_role="ftr_x",
+            noise_key=lambda channel, k=k: ("ftr_x, warming" if k == warmed else "ftr_x", channel),
+            lines=lambda channel: LINES,
         )
         for k in range(4)
     ]
-    return cast(CampaignModel, SimpleNamespace(evidence=recordings, excess=excess))
+    rest = NoiseLaw((1e-11, 0.0, 5e-11, 0.0))
+    noise = {(role, channel): law for channel in CHANNELS for role, law in (("ftr_x", rest), ("ftr_x, warming", rest.times(louder)))}
+    return cast(CampaignModel, SimpleNamespace(evidence=recordings, excess=excess, noise=noise))
 
 
 @pytest.mark.parametrize("excess", [{}, {(0, "amplitude"): 4.4, (3, "quadrature"): 7.9}])
@@ -40,3 +51,18 @@ def test_the_loudest_is_named_with_its_channel_and_what_to_do() -> None:
 
 def test_a_rate_table_does_things_besides_its_log() -> None:
     assert loudest(model({(2, "precession"): 50.0}, turned=2)) is None
+
+
+def test_what_a_moving_temperature_holds_beyond_all_effects_is_no_noise() -> None:
+    """Of one or two records each by itself the noise is what they hold: it is measured against the records at rest."""
+    assert loudest(model({}, warmed=2, louder=87.0)) is None
+    loud = loudest(model({(2, "amplitude"): 7.0}, warmed=2, louder=78.0))
+    assert loud is not None
+    assert "run_2 holds 546 times the noise of recordings at rest (amplitude)" in loud.warning()
+    assert loud.unknown().depends_on == "temperature"
+
+
+def test_a_thermometer_may_err_in_a_frequency() -> None:
+    at_rest = model({}, warmed=2, louder=1.0)
+    loud_frequency = {**at_rest.noise, ("ftr_x, warming", "frequency"): at_rest.noise["ftr_x", "frequency"].times(1e6)}
+    assert loudest(cast(CampaignModel, SimpleNamespace(evidence=at_rest.evidence, excess={}, noise=loud_frequency))) is None

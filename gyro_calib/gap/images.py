@@ -63,10 +63,13 @@ def _reach_hz(r: RecordingEvidence) -> float:
 
 
 def _mirror(s: Signals, near_hz: float = _NEAR_HZ) -> NDArray[np.complex128] | None:
-    """Turns a conjugate into its image [s], shape (n, 1); nothing where the image is farther than that from standing still."""
+    """Turns a conjugate into its image [s], shape (n, 1); nothing where the image is never nearer than that to standing still."""
     twice_hz = s.omega_rad_s / np.pi
-    still_hz = RATES_HZ * np.round(twice_hz.mean() / RATES_HZ)
-    if abs(twice_hz.mean() - still_hz) > near_hz:
+    # a resonance that is warmed may pass several multiples: one image at a time is near enough to be heard
+    multiples = RATES_HZ * np.arange(np.floor(twice_hz.min() / RATES_HZ), np.ceil(twice_hz.max() / RATES_HZ) + 1.0)
+    nearest = np.array([np.min(np.abs(twice_hz - still_hz)) for still_hz in multiples])
+    if nearest.min() > near_hz:
         return None
+    still_hz = float(multiples[np.argmin(nearest)])
     turned = 2.0 * np.pi * np.cumsum(twice_hz - still_hz) * s.row_s
     return np.asarray(np.exp(-1j * turned)[:, None] / (2.0 * np.pi * still_hz))
