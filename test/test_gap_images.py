@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -12,11 +13,13 @@ from numpy.typing import NDArray
 from table_samples import looked_at
 
 from gyro_calib.device import draw_unit, load_device
-from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
+from gyro_calib.experiments import Plan, SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.images import _mirror
+from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.signals import Signals
 from gyro_calib.simulation import GyroSimulator
 
+FloatArray = NDArray[np.float64]
 SAMPLE_HZ, HELD, ROW, SPAN_S = 240_000, 24, 480, 4.0
 CARRIER_HZ, MODULATION_HZ = 14_999.986, 1.5
 CARRIER_OF_HEMISPHERE_HZ = 5_000.303
@@ -60,38 +63,34 @@ def test_an_image_that_moves_away_has_no_columns() -> None:
     assert mirror_of(14_971.3) is None
 
 
-def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
-    """A quiet ring at half of three times its loops' rate, sample by sample; a phase depends on where its record begins."""
-    device = draw_unit(load_device("ring_15k"), 5)
+def image_sizes(name: str, frequency_hz: float, plan: Callable[..., Plan]) -> tuple[CampaignModel, list[str], FloatArray, FloatArray]:
+    """A quiet device at a frequency, sample by sample: its look, the images' columns, and each image's size and its sd."""
+    device = draw_unit(load_device(name), 5)
     device = replace(
         device,
-        resonator=replace(device.resonator, frequency_hz=CARRIER_HZ),
+        resonator=replace(device.resonator, frequency_hz=frequency_hz),
         noise=replace(device.noise, pickoff_v_rthz=2e-8, drive_v_rthz=2e-8, drive_flicker_v=0.0, thermomechanical=False),
     )
     instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"))
-    model = looked_at(run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick")))
+    model = looked_at(run_plan(instrument, plan(device.factory(), quality="quick")))
     places = [k for k, c in enumerate(model.base.columns) if c.name.startswith("image_")]
-    excited = [r.index for r in model.evidence if r.is_wave and r.recording.command.excitation.kind != "none"]
-    assert [model.base.columns[k].name for k in places] == [f"image_{i}_{part}" for i in excited for part in ("re", "im")]
     values, covariance = model.base.values[places].reshape(-1, 2), model.base.covariance[np.ix_(places, places)]
     sizes, sds = np.linalg.norm(values, axis=1), np.sqrt(np.diag(covariance)).reshape(-1, 2).max(axis=1)
+    return model, [model.base.columns[k].name for k in places], sizes, sds
+
+
+def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
+    """A ring at half of three times its loops' rate; a phase depends on where its record begins."""
+    model, names, sizes, sds = image_sizes("ring_15k", CARRIER_HZ, gap_ftr_plan)
+    excited = [r.index for r in model.evidence if r.is_wave and r.recording.command.excitation.kind != "none"]
+    assert names == [f"image_{i}_{part}" for i in excited for part in ("re", "im")]
     assert np.all(np.abs(sizes - 1.0) < 3.0 * sds)
     assert np.average(sizes, weights=sds**-2.0) == pytest.approx(1.0, abs=0.25)
 
 
 def test_the_drives_of_a_wave_that_turns_have_their_image_too() -> None:
-    """A quiet hemisphere, twice whose frequency is 0.6 Hz from a multiple of its loops' rate: the fastest line of its fastest turns."""
-    device = draw_unit(load_device("hrg_hardware"), 5)
-    device = replace(
-        device,
-        resonator=replace(device.resonator, frequency_hz=CARRIER_OF_HEMISPHERE_HZ),
-        noise=replace(device.noise, pickoff_v_rthz=2e-8, drive_v_rthz=2e-8, drive_flicker_v=0.0, thermomechanical=False),
-    )
-    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"))
-    model = looked_at(run_plan(instrument, gap_whole_angle_plan(device.factory(), quality="quick")))
-    places = [k for k, c in enumerate(model.base.columns) if c.name.startswith("image_")]
-    values, covariance = model.base.values[places].reshape(-1, 2), model.base.covariance[np.ix_(places, places)]
-    sizes, sds = np.linalg.norm(values, axis=1), np.sqrt(np.diag(covariance)).reshape(-1, 2).max(axis=1)
+    """A hemisphere, twice whose frequency is 0.6 Hz from a multiple of its loops' rate: the fastest line of its fastest turns."""
+    _, _, sizes, sds = image_sizes("hrg_hardware", CARRIER_OF_HEMISPHERE_HZ, gap_whole_angle_plan)
     seen = sds < 0.3
     assert seen.any()
     assert np.all(np.abs(sizes[seen] - 1.0) < 3.0 * sds[seen])
