@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from gyro_calib.gap.anonymous import _MONOMIALS
 from gyro_calib.gap.diagnosis import Unknown
+from gyro_calib.gap.monomials import FED, MONOMIALS
 from gyro_calib.gap.next_experiment import experiment_for
 
 #: on what terms of other sources depend: courses of time, one recording, halves that disagree
 OTHERS = {"time", "recording", "experiment"}
 
 
-@pytest.mark.parametrize("depends_on", sorted({depends for _, depends in _MONOMIALS} | OTHERS))
+@pytest.mark.parametrize("depends_on", sorted({depends for _, depends in (*MONOMIALS, *FED)} | OTHERS))
 def test_the_form_of_whatever_has_no_name_can_be_looked_for(depends_on: str) -> None:
     found = experiment_for(Unknown("drive", "in phase", "|x| x", depends_on, "", 100.0))
     assert found.description.endswith(".")
