@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from .spectra import PickSpectrum
 
-__all__ = ["faintest_line"]
+__all__ = ["shared_line"]
 
 FloatArray = NDArray[np.float64]
 #: distance of the frequencies that are tried, in bins of the longest record; fewest bins that a mean is taken of
 _STEP_BINS, _FEWEST_BINS = 0.5, 8
 
 
-def faintest_line(spectra: Sequence[PickSpectrum], *, hum: bool) -> tuple[float, float]:
+def shared_line(spectra: Sequence[PickSpectrum], *, hum: bool) -> tuple[float, float]:
     """Where the mean of all spectra is highest.
 
     Parameters

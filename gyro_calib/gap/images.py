@@ -35,8 +35,8 @@ def image_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
 
     That of the reading is the same force to within what the flow tells, and shares the columns.
     """
-    reaches = {r.index: (r, near_hz) for r in evidence if r.is_wave and (near_hz := _reach_hz(r)) > 0.0}
-    own = {index: mirror for index, (r, near_hz) in reaches.items() if (mirror := _mirror(r.signals, near_hz)) is not None}
+    heard = [(r, near_hz) for r in evidence if r.is_wave and (near_hz := _reach_hz(r)) > 0.0]
+    own = {r.index: mirror for r, near_hz in heard if (mirror := _mirror(r.signals, near_hz)) is not None}
     if not own:
         return []
     by_recording = []

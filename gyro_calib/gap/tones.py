@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..recording.recording import Recording
-from .faint_lines import faintest_line
+from .faint_lines import shared_line
 from .parts import Linear
 from .spectra import PickSpectrum, detrended, steep_window
 
@@ -89,7 +89,7 @@ def find_tone(spectra: Sequence[PickSpectrum], linear: Linear) -> Tone | None:
     searched = math.log(2.0 * sum(s.frequency_hz.size for s in spectra))
     good = [h for h in hypotheses if h.shown >= _FEWEST and h.evidence > searched + _MARGIN]
     if not good:
-        faint = [_Line(hum, *faintest_line(spectra, hum=hum), len(spectra)) for hum in (True, False)]
+        faint = [_Line(hum, *shared_line(spectra, hum=hum), len(spectra)) for hum in (True, False)]
         good = [h for h in faint if h.evidence > searched + _FAINT_MARGIN]
     best = max(good, key=lambda h: h.evidence, default=None)
     return _told(spectra, best, linear, best.evidence - searched) if best is not None else None
