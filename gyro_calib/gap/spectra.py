@@ -65,7 +65,7 @@ class PickSpectrum:
         return 1.0 / self.recording.duration_s
 
     def at(self, away_hz: FloatArray) -> FloatArray:
-        """Power over the floor of both axes at the bins that are nearest, shape (m, 2)."""
+        """Power over the floor of both axes at the bins nearest to distances from the carrier, shape (m,) -> (m, 2)."""
         places = np.round(away_hz / self.bin_hz).astype(int) + self.frequency_hz.size // 2
         return np.asarray(self.ratio[np.clip(places, 0, len(self.ratio) - 1)])
 
