@@ -24,6 +24,8 @@ from unit import Unit, draw_unit
 from write import write_campaign, write_label
 
 Found = tuple[Effect, float, Shape, float]
+#: how strong effects are
+SNR = (8.0, 40.0)
 
 
 def _together(found: list[Found]) -> Callable[[Scene], None]:
@@ -75,7 +77,9 @@ def stage(kind: str, rng: np.random.Generator, name: str) -> tuple[Unit, str | N
     return unit, poor, draw_plan(kind, rng, poor), int(rng.integers(1, 2**31))
 
 
-def make_one(number: int, kind: str, stratum: str, seed: int, deck: Deck, out: Path, wander: bool = True) -> None:
+def make_one(
+    number: int, kind: str, stratum: str, seed: int, deck: Deck, out: Path, wander: bool = True, snr: tuple[float, float] = SNR
+) -> None:
     """Draw, measure, run and write one campaign."""
     key = [seed, number]
     rng = np.random.default_rng(key)
@@ -87,8 +91,8 @@ def make_one(number: int, kind: str, stratum: str, seed: int, deck: Deck, out: P
         while len(found) < (2 if stratum == "pair" else 1):
             effect = deck.deal(stratum == "stranger", kind, poor, tuple(f[0] for f in found))
             shape = effect.draw(rng, unit)
-            wanted = math.exp(rng.uniform(math.log(8.0), math.log(40.0)))
-            answer = ruler.find(effect, shape, wanted)
+            wanted = math.exp(rng.uniform(math.log(snr[0]), math.log(snr[1])))
+            answer = ruler.find(effect, shape, wanted, snr)
             if answer is None:
                 deck.dealt.discard(effect.name)
                 continue
@@ -115,6 +119,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--fast-noise-only", action="store_true", help="leave the 1/f of gains out of the strength, as in the first batch of seed 7"
     )
+    parser.add_argument("--snr", type=float, nargs=2, default=SNR, metavar=("LEAST", "MOST"), help="strength of the effects")
     args = parser.parse_args(argv)
     kinds = args.kinds.split(",")
     rng = np.random.default_rng(args.seed)
@@ -124,7 +129,7 @@ def main(argv: list[str] | None = None) -> int:
     (args.out / "labels.sha256").unlink(missing_ok=True)
     for number, stratum in enumerate(strata, 1):
         start = time.monotonic()
-        make_one(number, kinds[(number - 1) % len(kinds)], stratum, args.seed, deck, args.out, not args.fast_noise_only)
+        make_one(number, kinds[(number - 1) % len(kinds)], stratum, args.seed, deck, args.out, not args.fast_noise_only, tuple(args.snr))
         print(f"  {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
     return 0
 

@@ -82,7 +82,7 @@ def _distance(ruler: Ruler, trace: Array, other: Effect) -> float:
     shape = other.draw(np.random.default_rng(0), ruler.unit)
     size = other.probe(ruler.unit)
     if other.power != 1.0:
-        found = ruler.find(other, shape, float(np.clip(np.linalg.norm(trace), 8.0, 40.0)))
+        found = ruler.find(other, shape, float(np.clip(np.linalg.norm(trace), *SNR)), SNR)
         size = found[0] if found else size
     traces = np.stack([ruler.trace(other, size, s) for s in _shapes(other, shape)], 1)
     q, _ = np.linalg.qr(traces)

@@ -126,8 +126,8 @@ class Ruler:
         """Strength of an effect of a size."""
         return float(np.linalg.norm(self.trace(effect, size, shape)))
 
-    def find(self, effect: Effect, shape: Shape, wanted: float) -> tuple[float, float] | None:
-        """Size for a wanted strength, and the strength that it has; None if it cannot be had."""
+    def find(self, effect: Effect, shape: Shape, wanted: float, of: tuple[float, float]) -> tuple[float, float] | None:
+        """Size for a wanted strength, and the strength that it has; None if none near the range ``of`` can be had."""
         size = effect.probe(self.unit)
         first, best = size, None
         for _ in range(6):
@@ -142,7 +142,7 @@ class Ruler:
             size *= min(max(ratio ** (1.0 / effect.power), 1e-4), 30.0)
             if size / first > 1e4:
                 break
-        return best if best is not None and 7.5 < best[1] < 44.0 else None
+        return best if best is not None and of[0] / 1.07 < best[1] < 1.1 * of[1] else None
 
 
 def _real_columns(table: Table, x: CArray) -> Array:

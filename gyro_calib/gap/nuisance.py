@@ -32,13 +32,16 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-#: temperature coefficients of healthy devices, sd [1/K]: gains and phases of both axes; damping relative; all small against 1
-GAIN_PER_K, _PHASE_PER_K, _PICKOFF_PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-4, 3e-5, 5e-3
+#: temperature coefficients of healthy devices, sd [1/K]: gains that both axes have alike; phases, a tenth of a radian of filters whose
+#: parts move by 100 ppm/K; damping relative
+GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-5, 5e-3
 #: how the name of what both axes have alike begins
 _BOTH = "both_"
 BOTH_PICKOFFS = f"{_BOTH}thermal_pickoff_gain"
-#: gain of one axis by itself over that of both, which are of one design
-_UNLIKE_PER_K = 0.15
+#: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by some ppm/K
+_UNLIKE_PER_K = 0.05
+#: damping that does not go as all of it does, over its anisotropy and over the damping [1/K]
+_OTHERWISE_PER_K, _OTHERWISE_OF_ALL_PER_K = 1e-3, 1e-6
 #: relative curvature of the damping [1/K^2]
 _DAMPING_PER_K2 = 3e-5
 #: a record that is late by some samples of the converters [s]
@@ -139,17 +142,28 @@ def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column
     """What follows the temperature of the moment, but for the resonance."""
     damping = abs(np.trace(linear.A).real) / 2.0
     split = 2.0 * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
-    anisotropy = np.abs(linear.A - np.eye(2) * np.trace(linear.A) / 2.0).max()
+    unequal = linear.A - np.eye(2) * np.trace(linear.A) / 2.0
+    anisotropy, lossy = np.abs(unequal).max(), float(np.abs(unequal.real).max())
     columns = _form(evidence, linear, "thermal_damping", {"c": _DAMPING_PER_K * damping})
-    sd = _DAMPING_PER_K * float(np.abs(linear.A.real - np.eye(2) * np.trace(linear.A).real / 2.0).max()) + 1e-3 * damping * _DAMPING_PER_K
+    columns += _scaled_losses(evidence, linear, unequal.real)
+    sd = _OTHERWISE_PER_K * lossy + _OTHERWISE_OF_ALL_PER_K * damping
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
     columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
     for name in ("thermal_drive_gain", "thermal_pickoff_gain"):
         columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * GAIN_PER_K))
         columns += _of_both(evidence, linear, name, GAIN_PER_K)
-    for name, size in (("thermal_drive_phase", _PHASE_PER_K), ("thermal_pickoff_phase", _PICKOFF_PHASE_PER_K)):
-        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), size))
-    return columns + _gradient_columns(evidence, linear, sd)
+    for name in ("thermal_drive_phase", "thermal_pickoff_phase"):
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _PHASE_PER_K))
+    return columns + _gradient_columns(evidence, linear, _DAMPING_PER_K * (lossy + 1e-3 * damping))
+
+
+def _scaled_losses(evidence: CampaignEvidence, linear: Linear, unequal: FloatArray) -> list[Column]:
+    """What is unequal of the damping goes with the temperature as the damping does: its pattern stays, its size does not."""
+    by_recording = [
+        [Part("anisotropy_per_k", "flow", r.signals.temperature_k[:, None] * ((r.signals.pick - r.signals.drive @ linear.E.T) @ unequal.T))]
+        for r in evidence
+    ]
+    return [replace(c, prior_sd=_DAMPING_PER_K) for c in part_columns(evidence, by_recording, linear)]
 
 
 def _of_both(evidence: CampaignEvidence, linear: Linear, name: str, sd: float) -> list[Column]:
@@ -182,7 +196,7 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
     damping = abs(np.trace(linear.A).real) / 2.0
     sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
     sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
-    sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PICKOFF_PHASE_PER_K * _GRADIENT_LAG_S)
+    sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
     found = part_columns(evidence, by_recording, linear)
     return [replace(c, prior_sd=sizes.get(c.name, GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
 
