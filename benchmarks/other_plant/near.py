@@ -24,7 +24,7 @@ from effect import Effect, Shape, plan_has
 from effects_known import KNOWN
 from effects_strange import STRANGE
 from kernel import Array
-from make import stage
+from make import SNR, stage
 from severity import Ruler
 
 FAMILIES = {
@@ -82,7 +82,8 @@ def _distance(ruler: Ruler, trace: Array, other: Effect) -> float:
     shape = other.draw(np.random.default_rng(0), ruler.unit)
     size = other.probe(ruler.unit)
     if other.power != 1.0:
-        found = ruler.find(other, shape, float(np.clip(np.linalg.norm(trace), *SNR)), SNR)
+        wanted = max(float(np.linalg.norm(trace)), SNR[0])
+        found = ruler.find(other, shape, wanted, (wanted / 2.0, 2.0 * wanted))
         size = found[0] if found else size
     traces = np.stack([ruler.trace(other, size, s) for s in _shapes(other, shape)], 1)
     q, _ = np.linalg.qr(traces)
