@@ -1,0 +1,68 @@
+"""What a healthy device does with the temperature: its size, its form, and what it may not hide."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.gap.columns import form_columns
+from gyro_calib.gap.forms import FORMS
+from gyro_calib.gap.model import CampaignModel, look_at
+from gyro_calib.gap.nuisance import following_columns
+from gyro_calib.simulation import GyroSimulator
+
+
+@cache
+def model() -> CampaignModel:
+    """A healthy ring with its temperature run."""
+    device = draw_unit(load_device("ring_15k"), 5)
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="slow_flow"), 2e-5)
+    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick", abilities=("temperature",)))
+    f = campaign.factory
+    return look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+
+
+def test_losses_that_keep_their_pattern_are_one_column() -> None:
+    """Re A's unequal part as it is, which is what the two components of an anisotropy make at its size and direction."""
+    m = model()
+    (kept,) = (c for c in following_columns(m.evidence, m.linear) if c.name == "anisotropy_per_k")
+    components = form_columns(m.evidence, FORMS["thermal_damping_anisotropy"], m.linear, {})
+    a = m.linear.A.real
+    sizes = {"c_c": (a[0, 0] - a[1, 1]) / 2.0, "c_s": (a[0, 1] + a[1, 0]) / 2.0}
+    signs = {name: np.sign(np.vdot(c.signal[-1], kept.signal[-1]).real * sizes[name]) for name, c in zip(sizes, components, strict=True)}
+    assert len(set(signs.values())) == 1, "the two components of one matrix have one sign convention"
+    made = [sum(sizes[n] * signs[n] * c.signal[k] for n, c in zip(sizes, components, strict=True)) for k in range(len(kept.signal))]
+    largest = max(np.abs(x).max() for x in kept.signal)
+    assert largest > 0.0
+    # what is not symmetric of Re A is a rotation, no loss: it goes with the temperature besides
+    turned = abs(a[0, 1] - a[1, 0]) / 2.0 / max(abs(s) for s in sizes.values())
+    for one, other in zip(kept.signal, made, strict=True):
+        assert np.abs(one - other).max() < (1e-6 + 2.0 * turned) * largest
+
+
+def test_a_split_that_moves_by_200_urad_s_per_kelvin_shows() -> None:
+    """In any direction; phases of single axes of 1e-4 rad/K hid it (a chi-square of 2 was left, 71 is)."""
+    m = model()
+    (split,) = m.candidates["thermal_split"]
+    clean, _ = m.screener.projected(split.columns)
+    faintest = np.linalg.svd(clean, compute_uv=False).min()
+    assert (2e-4 * faintest) ** 2 > 25.0
+
+
+def test_the_temperature_of_a_healthy_unit_is_no_effect() -> None:
+    """It has coefficients of its own, all drawn, and none is blamed."""
+    m = model()
+    found = [m.screener.screen(c) for name, tried in m.candidates.items() if name.startswith("thermal_") for c in tried]
+    assert found
+    assert max(s.gain for s in found if s is not None) < 25.0
+
+
+def test_axes_of_one_design_part_by_parts_per_million() -> None:
+    """Both gains alike are believed to be 3e-4/K, what one axis does by itself a twentieth of it, and no phase more than 1e-5 rad/K."""
+    sds = {c.name: c.prior_sd for c in following_columns(model().evidence, model().linear)}
+    assert sds["thermal_drive_gain.g_x"] <= 0.05 * sds["both_thermal_drive_gain"] * (1 + 1e-12)
+    assert max(sds[f"thermal_{side}_phase.g_{axis}"] for side in ("drive", "pickoff") for axis in "xy") <= 1e-5
