@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from dataclasses import replace
 
@@ -98,6 +99,19 @@ def test_trials_are_drawn_in_their_shares_and_again_by_seed() -> None:
         draw_trials(2, 0, ["cleaan"])
 
 
+def test_trials_may_be_as_loud_as_a_real_device() -> None:
+    trials = draw_trials(48, 5, ladder=(100.0, 300.0))
+    assert {s for t in trials for s in t.snr} == {100.0, 300.0}
+    assert all(t.snr for t in trials if t.stratum != "clean")
+    assert [(t.stratum, t.order) for t in trials] == [(t.stratum, t.order) for t in draw_trials(48, 5)]
+    # of effects that are not known the faintest is left out, unless it is all there is
+    assert {t.snr for t in trials if t.stratum == "removed"} == {(300.0,)}
+    assert {t.snr for t in draw_trials(48, 5, ladder=(100.0,)) if t.stratum == "removed"} == {(100.0,)}
+    for ladder in ((), (4.0, 6.0), (0.0, 20.0), (math.nan, 20.0)):
+        with pytest.raises(DataError, match="ladder"):
+            draw_trials(2, 0, ladder=ladder)
+
+
 @pytest.mark.parametrize("kind", ["ring", "hemisphere"])
 def test_units_differ_and_are_healthy(kind: str) -> None:
     units = [draw_trial_unit(kind, 1, k) for k in range(6)]
@@ -166,6 +180,7 @@ def test_detection_and_naming_count_from_a_ratio_of_eight() -> None:
     assert gate(outcomes, "false unknowns").value == pytest.approx(1 / 4)
     assert gate(outcomes, "two effects").passed is None
     assert [row["count"] for row in scores.by_severity(outcomes)] == [1, 0, 1, 0, 1, 1]
+    assert [row["count"] for row in scores.by_severity(outcomes, (8.0, 100.0))] == [1, 0]
 
 
 def test_the_first_group_may_name_the_truth_second() -> None:

@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="F", help="write every figure and every trial; - for stdout")
     parser.add_argument("--jobs", type=positive_int, default=1, metavar="J", help="processes, each of up to a gigabyte")
     parser.add_argument("--strata", nargs="+", default=[], metavar="NAME", help="only these: clean, one, two, removed, drift, poor")
+    parser.add_argument("--snr", nargs="+", type=float, metavar="S", help="signal-to-noise ratios of single effects, in turn")
     parser.add_argument("--quality", choices=("quick", "standard", "fine"), default="standard", help="duration of the campaigns")
     parser.add_argument("--no-baselines", action="store_true", help="leave the four baselines out (half of the time of a trial)")
     parser.add_argument("--log", type=Path, metavar="FILE", help="seals as they are made, labels once all verdicts are in")
@@ -31,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the trials; exit code 1 when a gate does not hold."""
     with spinner("loading"):
         from ..report.theme import require_plot_suffix, save_figure
+        from ..trial.labels import LADDER
         from ..trial.run import SIZING, TrialLog, run_blind_trials
 
     if arguments.plot is not None:
@@ -40,6 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.trials,
             arguments.seed,
             strata=arguments.strata,
+            ladder=arguments.snr or LADDER,
             jobs=arguments.jobs,
             quality=arguments.quality,
             baselines=not arguments.no_baselines,
@@ -81,7 +84,10 @@ def tables(result: BlindTrials) -> list[Table]:
         interval = f"{_figure(g.low)} … {_figure(g.high)}" if g.count else ""
         rows.append((g.name, _figure(g.value), interval, exact, str(g.count), g.limit, verdict))
     found = [Table("gates", ("", "value", "95 % (Wilson)", "95 % (exact)", "of", "limit", "verdict"), tuple(rows), caption=caption)]
-    steps = [(f"{r['snr']:g}", *(str(r[k]) for k in ("count", "detected", "first", "unknown"))) for r in by_severity(result.outcomes)]
+    steps = [
+        (f"{r['snr']:g}", *(str(r[k]) for k in ("count", "detected", "first", "unknown")))
+        for r in by_severity(result.outcomes, result.ladder)
+    ]
     found.append(
         Table("severity (effective SNR), one effect", ("SNR", "trials", "detected", "right first", "called unknown"), tuple(steps))
     )

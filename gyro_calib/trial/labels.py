@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -24,7 +25,8 @@ STRATA: dict[str, int] = {"clean": 3, "one": 4, "two": 1, "removed": 2, "drift":
 LADDER = (4.0, 6.0, 8.0, 12.0, 20.0, 40.0)
 #: a variant is reported under the name of its effect
 _VARIANTS = {form.per_axis: name for name, form in FORMS.items() if form.per_axis}
-_STRONG = tuple(snr for snr in LADDER if snr >= 8.0)
+#: ratio from which on an effect is asked for
+_STRONG = 8.0
 
 
 def reported_name(name: str) -> str:
@@ -128,7 +130,7 @@ class Seal:
             raise DataError(f"Label of trial {label.number} must have the hash {self.sha256}, but got {opened.sha256}. The trial is void.")
 
 
-def draw_trials(count: int, seed: int, strata: Sequence[str] = ()) -> list[Trial]:
+def draw_trials(count: int, seed: int, strata: Sequence[str] = (), ladder: Sequence[float] = LADDER) -> list[Trial]:
     """Draw trials, ring and hemisphere alternating, the strata in their shares.
 
     Parameters
@@ -136,15 +138,19 @@ def draw_trials(count: int, seed: int, strata: Sequence[str] = ()) -> list[Trial
     count, seed : int
     strata : sequence of str
         Only these (default: all).
+    ladder : sequence of float
+        Effective signal-to-noise ratios in turn; other strata than single effects take those from 8 on.
 
     Raises
     ------
     DataError
-        An unknown stratum.
+        An unknown stratum, a ladder without a ratio from 8 on.
     """
     unknown = sorted(set(strata) - set(STRATA))
     if unknown:
         raise DataError(f"Argument strata must be of {', '.join(STRATA)}, but got {', '.join(unknown)}.")
+    if not all(0.0 < snr < math.inf for snr in ladder) or not any(snr >= _STRONG for snr in ladder):
+        raise DataError(f"Argument ladder must hold positive ratios, one of them >= {_STRONG:g}, but got {list(ladder)}.")
     cycle = _spread({name: share for name, share in STRATA.items() if not strata or name in strata})
     seen: dict[str, int] = {}
     trials = []
@@ -152,7 +158,7 @@ def draw_trials(count: int, seed: int, strata: Sequence[str] = ()) -> list[Trial
         # both kinds of unit go through the whole cycle
         stratum = cycle[(number // 2) % len(cycle)]
         place = seen[stratum] = seen.get(stratum, -1) + 1
-        trials.append(_drawn(number, stratum, place, seed))
+        trials.append(_drawn(number, stratum, place, seed, ladder))
     return trials
 
 
@@ -162,7 +168,7 @@ def _spread(shares: Mapping[str, int]) -> list[str]:
     return [name for _, name in sorted(places, key=lambda p: p[0])]
 
 
-def _drawn(number: int, stratum: str, place: int, seed: int) -> Trial:
+def _drawn(number: int, stratum: str, place: int, seed: int, ladder: Sequence[float]) -> Trial:
     rng = np.random.default_rng([0x7A1A, seed, number])
     kind = ("ring", "hemisphere")[number % 2]
     names = trial_effects(KINDS[kind])
@@ -170,18 +176,20 @@ def _drawn(number: int, stratum: str, place: int, seed: int) -> Trial:
     shuffled = np.random.default_rng([0x0DE, seed, number % 2, list(STRATA).index(stratum)]).permutation(len(names))
     step = place // 2
     order = tuple(names[k] for k in np.roll(shuffled, -step))
+    strong = tuple(snr for snr in ladder if snr >= _STRONG)
     poor = ""
     if stratum == "clean":
         snr: tuple[float, ...] = ()
     elif stratum == "two":
-        snr = tuple(float(s) for s in rng.choice(_STRONG, size=2))
+        snr = tuple(float(s) for s in rng.choice(strong, size=2))
     elif stratum == "one":
-        snr = (LADDER[step % len(LADDER)],)
+        snr = (ladder[step % len(ladder)],)
     elif stratum == "removed":
-        # of an effect at 8 little is left behind what comes nearest
-        snr = (_STRONG[1 + step % (len(_STRONG) - 1)],)
+        # of the faintest little is left behind what comes nearest
+        behind = strong[1:] or strong
+        snr = (behind[step % len(behind)],)
     else:
-        snr = (_STRONG[step % len(_STRONG)],)
+        snr = (strong[step % len(strong)],)
     if stratum == "poor":
         poor = POOR[step % len(POOR)]
     return Trial(number, stratum, kind, snr, order if snr else (), poor)

@@ -40,6 +40,8 @@ class BlindTrials:
     created_utc : str
     broken : mapping of int to str
         Trials that could not be recorded, and why.
+    ladder : tuple of float
+        Effective signal-to-noise ratios of single effects.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -49,6 +51,7 @@ class BlindTrials:
     elapsed_s: float
     created_utc: str
     broken: dict[int, str]
+    ladder: tuple[float, ...] = LADDER
 
     @property
     def passed(self) -> bool:
@@ -66,10 +69,10 @@ class BlindTrials:
             "elapsed_s": round(self.elapsed_s, 1),
             "sizing": SIZING,
             "strata": STRATA,
-            "ladder": list(LADDER),
+            "ladder": list(self.ladder),
             "passed": self.passed,
             "gates": [gate.to_json() for gate in self.gates],
-            "by_severity": by_severity(self.outcomes),
+            "by_severity": by_severity(self.outcomes, self.ladder),
             "confusion": confusion(self.outcomes),
             "reliability": reliability(self.outcomes),
             "baselines": baseline_rows(self.outcomes),
@@ -125,6 +128,7 @@ def run_blind_trials(
     seed: int,
     *,
     strata: Sequence[str] = (),
+    ladder: Sequence[float] = LADDER,
     jobs: int = 1,
     quality: str = "standard",
     baselines: bool = True,
@@ -139,6 +143,8 @@ def run_blind_trials(
         The figures do not depend on ``jobs``.
     strata : sequence of str
         Only these (default: all).
+    ladder : sequence of float
+        Effective signal-to-noise ratios of single effects, in turn.
     jobs : int
         Processes; each holds one campaign at a time and the clean models of two units.
     quality : {"quick", "standard", "fine"}
@@ -152,13 +158,13 @@ def run_blind_trials(
     Raises
     ------
     DataError
-        An unknown stratum, fewer than one job or trial, a label that is not the sealed one.
+        An unknown stratum, a ladder without a ratio from 8 on, fewer than one job or trial, a label that is not the sealed one.
     """
     if jobs < 1 or count < 1:
         raise DataError(f"Arguments count and jobs must be >= 1, but got {count!r}, {jobs!r}.")
     log = log or TrialLog()
     began = time.monotonic()
-    trials = draw_trials(count, seed, strata)
+    trials = draw_trials(count, seed, strata, ladder)
     outcomes: dict[int, Outcome] = {}
     broken: dict[int, str] = {}
     for done, (number, outcome) in enumerate(_outcomes(trials, seed, jobs, quality, baselines, log), 1):
@@ -179,6 +185,7 @@ def run_blind_trials(
         elapsed_s=time.monotonic() - began,
         created_utc=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         broken=broken,
+        ladder=tuple(ladder),
     )
 
 

@@ -200,10 +200,10 @@ def _closed(right: Sequence[Outcome]) -> TrialGate:
     return TrialGate(name, closed, closed - half, closed + half, len(told), lower=0.90, judged=closed, exact=(closed - half, closed + half))
 
 
-def by_severity(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def by_severity(outcomes: Sequence[Outcome], ladder: Sequence[float] = LADDER) -> list[dict[str, Any]]:
     """Detection and first name along the ladder."""
     rows = []
-    for snr in LADDER:
+    for snr in ladder:
         trials = [o for o in outcomes if o.label.stratum in ("one", "drift") and o.label.snr and abs(o.label.snr[0] / snr - 1.0) < 0.02]
         rows.append(
             {
