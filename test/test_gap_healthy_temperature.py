@@ -6,6 +6,7 @@ import math
 from functools import cache
 
 import numpy as np
+from added_effects import with_effects
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
@@ -13,6 +14,7 @@ from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.nuisance import following_columns
+from gyro_calib.gap.select import select_effects
 from gyro_calib.simulation import GyroSimulator
 
 
@@ -66,3 +68,12 @@ def test_axes_of_one_design_part_by_parts_per_million() -> None:
     sds = {c.name: c.prior_sd for c in following_columns(model().evidence, model().linear)}
     assert sds["thermal_drive_gain.g_x"] <= 0.05 * sds["both_thermal_drive_gain"] * (1 + 1e-12)
     assert max(sds[f"thermal_{side}_phase.g_{axis}"] for side in ("drive", "pickoff") for axis in "xy") <= 1e-5
+
+
+def test_gains_that_part_while_it_warms_are_no_effect_of_the_registry() -> None:
+    """One pick-off by how fast the temperature moves, a gradient across the electronics: *with the temperature of before* comes near."""
+    m = model()
+    term = next(c for t, c in m.bank if (t.location, t.phase, t.form) == ("pick-off", "in phase", "dT/dt x, other on each axis"))
+    selection = select_effects(with_effects(m, [term.columns[0]], 60.0))
+    assert selection.stranger is not None
+    assert (selection.stranger.term.location, selection.stranger.term.depends_on) == ("pick-off", "temperature")

@@ -4,39 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from added_effects import with_effects
 from table_samples import looked_at, on_a_table
 
 from gyro_calib.gap.columns import Column
-from gyro_calib.gap.linear_device import target_of
-from gyro_calib.gap.model import CampaignModel, look_at
+from gyro_calib.gap.model import look_at
 from gyro_calib.gap.preflight import usable
-from gyro_calib.gap.screen import Candidate, Screener
+from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import Selection, select_effects
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
 
-SNR = 25.0
+#: of an effect as loud as a real device's, and of what its form may be short of it
+LOUD, SHORT = 450.0, 8.0
 
 
-def with_effects(model: CampaignModel, columns: Sequence[Column]) -> CampaignModel:
-    """The campaign with each of these beside what is there, as large as makes it the SNR beside the nuisances."""
-    sizes = [SNR / float(np.linalg.norm(model.screener.projected([c])[0])) for c in columns]
-    added = [sum(size * c.signal[k] for size, c in zip(sizes, columns, strict=True)) for k in range(len(model.evidence))]
-    recordings = tuple(
-        replace(r, signal=replace(r.signal, lhs=r.signal.lhs + more / r.turn)) for r, more in zip(model.evidence, added, strict=True)
-    )
-    evidence = replace(model.evidence, recordings=recordings)
-    screener = Screener(model.whitener, model.nuisances, target_of(evidence, model.linear.angular_gain))
-    return replace(model, evidence=evidence, screener=screener)
-
-
-def selected(columns: Sequence[Column]) -> Selection:
-    return select_effects(with_effects(looked_at(on_a_table()), columns))
+def selected(columns: Sequence[Column], snrs: float | Sequence[float] = 25.0) -> Selection:
+    return select_effects(with_effects(looked_at(on_a_table()), columns, snrs))
 
 
 def knee(phase: str) -> Candidate:
@@ -89,3 +77,18 @@ def test_two_effects_of_the_registry_are_no_stranger() -> None:
     names = [set(group) for group in selection.groups]
     assert any("nonlinear_damping" in g for g in names)
     assert any("pickoff_amplitude_phase" in g for g in names)
+
+
+def test_an_effect_whose_form_is_short_of_a_thousandth_keeps_its_name() -> None:
+    """A table of one speed hardly tells |Omega| from Omega^2: an unnamed term of both axes holds an asymmetry and what its form lacks."""
+    model = looked_at(on_a_table())
+    asymmetry = model.candidates["rate_asymmetry"][0]
+    term = next(c for t, c in model.bank if (t.location, t.phase, t.form) == ("dynamics", "in phase", "Omega^2 x, crossed"))
+    own = model.screener.projected(asymmetry.columns)[0][:, 0]
+    both = model.screener.projected(term.columns)[0]
+    both /= np.linalg.norm(both, axis=0)
+    beyond = np.linalg.norm(both - np.outer(own, own @ both) / float(own @ own), axis=0)
+    k = int(np.argmax(beyond))
+    selection = selected([asymmetry.columns[0], term.columns[k]], [LOUD, SHORT / float(beyond[k])])
+    assert selection.stranger is None
+    assert [e.name for e in selection.effects] == ["rate_asymmetry"]

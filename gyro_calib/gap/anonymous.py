@@ -13,8 +13,8 @@ import numpy as np
 
 from .columns import forms_columns
 from .evidence import CampaignEvidence
-from .forms import FORMS, behind
-from .monomials import FED, LATE, LATE_APART, LATE_S, MONOMIALS, RISING, Monomial, size_of
+from .forms import FORMS
+from .monomials import APART, FED, LATE, MONOMIALS, RISING, Monomial, size_of
 from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
 from .signals import Signals
@@ -107,8 +107,8 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
             for phase, factor in _PHASES if depends != "reference" else _ANY_PHASE:
                 if (kind, phase) == ("flow", "in quadrature") and text in (LATE, RISING):
                     continue
-                if (kind, phase, text) == ("flow", "in quadrature", LATE_APART):
-                    monomials = [lambda s, x: behind(s, LATE_S) * x * np.array([1.0, -1.0])]
+                if (kind, phase) == ("flow", "in quadrature") and text in APART:
+                    monomials = [lambda s, x, f=APART[text]: f(s) * x * np.array([1.0, -1.0])]  # type: ignore[misc]
                 forms.append((Anonymous(location, phase, text, depends), _form(kind, monomials, factor, at_once=depends in _AT_ONCE)))
     made = forms_columns(evidence, [(form, {}) for _, form in forms], linear)
     for (term, _), columns in zip(forms, made, strict=True):

@@ -245,14 +245,16 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """Dry friction, against the velocity or of each axis by itself.
 
     An axis that is held at rest goes with the other by as much as the pick-offs are not square to each other: that is all of its friction,
-    to either side.
+    to either side. In open drive it goes as it is driven, with a phase of its own.
     """
     p = _motion(s, d)
     if setting["axes"]:
         size = np.sqrt(_square(p))
         against = -p / np.sqrt(np.abs(p) ** 2 + (AT_REST * size) ** 2)
-        at_rest = -(1.0 - np.abs(against)) * _swapped(p) / (size + 1e-12)
-        return [*_by_axis("flow", "c", against), *_by_axis("flow", f"{SKEW}_rest", at_rest / UNEQUAL)]
+        at_rest = -(1.0 - np.abs(against)) * _swapped(p) / (size + 1e-12) / UNEQUAL
+        driven = float(s.recording.command.mode == "loops_off") * at_rest
+        skewed = {"rest": at_rest, "driven": driven, "driven_late": 1j * driven}
+        return [*_by_axis("flow", "c", against), *(part for n, x in skewed.items() for part in _by_axis("flow", f"{SKEW}_{n}", x))]
     return [Part("c", "flow", -_dry(p)), *_skewed(p, _dry, -1.0)]
 
 

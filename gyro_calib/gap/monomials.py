@@ -12,7 +12,7 @@ from .forms import AT_REST, behind, conjugate_product
 from .memory import remembered
 from .signals import Signals
 
-__all__ = ["FED", "LATE", "LATE_APART", "LATE_S", "MONOMIALS", "RISING", "Monomial", "size_of"]
+__all__ = ["APART", "FED", "LATE", "MONOMIALS", "RISING", "Monomial", "size_of"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -90,12 +90,20 @@ def _power(s: Signals) -> ComplexArray:
     return (size_of(s.drive) ** 2).astype(np.complex128)
 
 
+def _rising(s: Signals) -> FloatArray:
+    return np.asarray(np.gradient(s.temperature_k, s.row_s)[:, None])
+
+
 #: of either axis, in step with the reference and a quarter of a cycle behind it: what is constant has no phase to grow from
 _CONSTANTS = [lambda x, k=k, f=f: _axis(np.full_like(x, f), k) for k in range(2) for f in (1.0, 1j)]
 #: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
 LATE, LATE_S = "(T - T of 20 s before) x", 20.0
 RISING = "dT/dt x"
-LATE_APART = f"{LATE}, other on each axis"
+#: of these one axis against the other
+APART: dict[str, Factor] = {
+    f"{LATE}, other on each axis": lambda s: behind(s, LATE_S),
+    f"{RISING}, other on each axis": _rising,
+}
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x", "amplitude"): [lambda s, x: size_of(x) * x],
@@ -111,7 +119,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("x*", "phase reference"): [lambda s, x: x.conj()],
     **_shaped("T x", "temperature", lambda s: s.temperature_k[:, None]),
     ("T^2 x", "temperature"): [_by(lambda s: s.temperature_k**2)],
-    (RISING, "temperature"): [_by(lambda s: np.gradient(s.temperature_k, s.row_s))],
+    **_shaped(RISING, "temperature", _rising),
     **_shaped(LATE, "temperature", lambda s: behind(s, LATE_S)),
     **_shaped("t x", "time", lambda s: s.time_s[:, None]),
     ("Omega x", "rate"): [_by(lambda s: s.rate_rad_s)],

@@ -26,6 +26,7 @@ from .strangers import (
     LEFT_SHARE,
     LEFT_SIGMA,
     MARGIN,
+    SECOND_ORDER,
     Stranger,
     bank_terms,
     own_directions,
@@ -52,8 +53,6 @@ _REFINED, _REFINEMENTS = ("level", "tau", "separation_hz", "half_width_hz"), 3
 _BEYOND = {"half_width_hz": (4.0, 4.0), "tau": (1.0, 3.0)}
 #: effects that are refined before one is taken: those of so much of the best one's log evidence, and how many at most
 _NEAR, _CONTENDERS = 0.75, 4
-#: share of an effect's gain that its form, of first order, may leave
-_SECOND_ORDER = 0.005
 #: effects tried in pairs, and least gain of a pair that no member shows alone
 _PAIRED = 8
 #: a share that multiplies an effect whose size is its setting must be near one
@@ -131,7 +130,7 @@ def best_of_each(screener: Screener, pool: Mapping[str, Sequence[Candidate]]) ->
 
 def _enough(found: Screened, largest: float = 0.0) -> bool:
     """Whether an effect counts beside one of the largest gain: what the first order of averaging leaves of that one is no effect."""
-    return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, _SECOND_ORDER * largest)
+    return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, SECOND_ORDER * largest)
 
 
 def _stands(found: Screened, louder: float) -> bool:
