@@ -49,6 +49,11 @@ def test_the_loudest_is_named_with_its_channel_and_what_to_do() -> None:
     assert (unknown.depends_on, unknown.nearest) == ("recording", "")
 
 
+def test_a_resonance_wanders_now_more_now_less() -> None:
+    """One of eight records of a healthy unit of another plant held 9 times the noise of its frequency: 3 mK of the resonator."""
+    assert loudest(model({(1, "frequency"): 9.2})) is None
+
+
 def test_a_rate_table_does_things_besides_its_log() -> None:
     assert loudest(model({(2, "precession"): 50.0}, turned=2)) is None
 

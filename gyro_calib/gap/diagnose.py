@@ -27,6 +27,7 @@ from .rate_table import said_late
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
+from .strangers import LEFT_SIGMA, MARGIN, Stranger, left_over
 from .system import Solution
 from .told import told_sizes
 
@@ -40,6 +41,9 @@ _DOUBTFUL = 6.0
 _UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.7, 0.05
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
+#: root mean square over the noise that effects of the right form leave of unseen experiments at most, and the share of the gap: of some
+#: hundred and twenty that were right one left more than the former, and none as loud as 400 times its noise 0.001 of the latter
+_MOST_LEFT_RMS, _MOST_LEFT = 1.2, 0.02
 
 
 def diagnose(
@@ -74,7 +78,7 @@ def diagnose(
     warnings = [*warnings, *said_late(model.evidence, model.late_s)]
     report(0.7, "selecting effects")
     beside = spectral_effects(recordings, model.linear, left_out)
-    selection = _without_products(model, select_effects(model), beside.products)
+    selection = _without_products(model, select_effects(model), beside)
     chosen = [e.candidate for e in selection.effects]
     rich = model.fitted(chosen) if chosen else model.base
     report(0.88, "unseen experiments")
@@ -84,9 +88,10 @@ def diagnose(
     effects = tuple(_found(model, selection, k, rich) for k in range(len(selection.effects)))
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
     unknown = (
-        _unknown(selection)
+        _unknown(selection.stranger)
         or (None if effects else beside.unknown)
         or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
+        or (_unknown(left_over(model, chosen, selection.effects[0].name)) if chosen and _leaves_more(shrunk, beside) else None)
     )
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
@@ -182,10 +187,11 @@ def _scale_shift(model: CampaignModel, rich: Solution) -> tuple[float, float]:
     return max(found, key=lambda pair: abs(pair[0]))
 
 
-def _without_products(model: CampaignModel, selection: Selection, gain: float) -> Selection:
-    """Less what may be no more than squares of a tone or a hum, which the loops that follow it make."""
-    kept = [k for k, e in enumerate(selection.effects) if e.gain > gain]
-    stranger = selection.stranger if selection.stranger is not None and selection.stranger.screened.gain > gain else None
+def _without_products(model: CampaignModel, selection: Selection, beside: SpectralEffects) -> Selection:
+    """Less what a tone or a hum may have made: its squares, by loops that follow it, and itself where an open drive stands beside it."""
+    own = [k for k, e in enumerate(selection.effects) if e.gain > beside.products]
+    kept = [k for k in own if _counts_without(model, selection, k, beside)]
+    stranger = selection.stranger if selection.stranger is not None and selection.stranger.screened.gain > beside.products else None
     if len(kept) == len(selection.effects):
         return replace(selection, stranger=stranger)
     return replace(
@@ -198,11 +204,24 @@ def _without_products(model: CampaignModel, selection: Selection, gain: float) -
     )
 
 
-def _unknown(selection: Selection) -> Unknown | None:
-    if selection.stranger is None:
+def _counts_without(model: CampaignModel, selection: Selection, k: int, beside: SpectralEffects) -> bool:
+    """Whether an effect counts without the recordings whose reference stands beside a tone."""
+    others = [e.candidate for j, e in enumerate(selection.effects) if j != k]
+    still = model.seen_without(beside.beside, selection.effects[k], others)
+    return still is not None and still.log_evidence > MARGIN
+
+
+def _unknown(found: Stranger | None) -> Unknown | None:
+    if found is None:
         return None
-    term = selection.stranger.term
-    return Unknown(term.location, term.phase, term.form, term.depends_on, selection.stranger.nearest, selection.stranger.screened.gain)
+    term = found.term
+    return Unknown(term.location, term.phase, term.form, term.depends_on, found.nearest, found.screened.gain)
+
+
+def _leaves_more(shrunk: Shrinkage, beside: SpectralEffects) -> bool:
+    """Whether effects leave more of unseen experiments than noise does, their first order, or a tone: three of them imitate much."""
+    significant = shrunk.after - 1.0 > LEFT_SIGMA * math.sqrt(2.0 / shrunk.dof)
+    return not beside.effects and significant and shrunk.rms_after > _MOST_LEFT_RMS and shrunk.closed < 1.0 - _MOST_LEFT
 
 
 def _not_of_its_form(model: CampaignModel, selection: Selection, of_halves: Shrinkage) -> Unknown | None:

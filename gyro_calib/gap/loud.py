@@ -2,6 +2,9 @@
 
 Of recordings whose temperature moves there are two or three, each by itself, so what they hold beyond every effect is their noise: of a
 damping that peaks where a resonance of the gas is passed, 80 and 1200 times the noise at rest was believed, and there was seven times that.
+
+The frequency is that of a resonator whose own temperature wanders by millikelvins, now more, now less: the loudest of eight records of a
+healthy hemisphere held nine times what all of them did.
 """
 
 from __future__ import annotations
@@ -68,9 +71,8 @@ def loudest(model: CampaignModel) -> Loud | None:
         Loud(r.recording.label, channel, ratio, r.signal.lhs.size)
         for r in model.evidence
         for channel in CHANNELS
-        if (ratio := model.excess.get((r.index, channel), 0.0)) > _LOUD and not is_turned(r.recording)
+        if channel != "frequency" and (ratio := model.excess.get((r.index, channel), 0.0)) > _LOUD and not is_turned(r.recording)
     ]
-    # where the wave's frequency lies a thermometer errs
     found += [
         Loud(r.recording.label, channel, ratio, r.signal.lhs.size, warmed=True)
         for r in model.evidence

@@ -93,16 +93,20 @@ class CampaignModel:
         return candidate_at(self.evidence, self.linear, name, setting, len(self.candidates[name]))
 
     @cached_property
-    def _at_rest(self) -> Whitener | None:
-        """Weights with which turned recordings say nothing; none where there are none."""
-        turned = {(r.index, c): _SILENT for r in self.evidence if is_turned(r.recording) for c in CHANNELS}
-        return Whitener.of(self.evidence, self.noise, {**self.excess, **turned}) if turned else None
+    def _turned(self) -> tuple[int, ...]:
+        return tuple(r.index for r in self.evidence if is_turned(r.recording))
 
     def at_rest(self, found: Screened, others: Sequence[Candidate]) -> Screened | None:
         """An effect beside others as the recordings show it that were not turned: a table does things besides its log."""
-        if self._at_rest is None:
+        return self.seen_without(self._turned, found, others)
+
+    def seen_without(self, recordings: Sequence[int], found: Screened, others: Sequence[Candidate]) -> Screened | None:
+        """An effect beside others as all but some recordings show it, given by index."""
+        if not recordings:
             return found
-        return Screener(self._at_rest, [*self.nuisances, *effect_columns(others)], self.target).screen(found.candidate)
+        silent = {(index, channel): _SILENT for index in recordings for channel in CHANNELS}
+        whitener = Whitener.of(self.evidence, self.noise, {**self.excess, **silent})
+        return Screener(whitener, [*self.nuisances, *effect_columns(others)], self.target).screen(found.candidate)
 
     @property
     def target(self) -> list[ComplexArray]:

@@ -23,6 +23,7 @@ __all__ = [
     "SECOND_ORDER",
     "Stranger",
     "bank_terms",
+    "left_over",
     "one_change_of_another_kind",
     "own_directions",
     "stranger",
@@ -98,6 +99,12 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
         if significant > LEFT_SIGMA and share > LEFT_SHARE:
             return Stranger(term, best, nearest)
     return None
+
+
+def left_over(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
+    """The anonymous term that says most of what effects leave."""
+    best, term = max(_unnamed(model, model.screener_with(chosen), chosen), key=lambda pair: worth_of(pair[0]), default=(None, None))
+    return Stranger(term, best, nearest) if best is not None and term is not None else None
 
 
 def _worth_of_one(model: CampaignModel, chosen: Sequence[Candidate], first: Sequence[Screened]) -> float:
