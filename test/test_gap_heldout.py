@@ -199,6 +199,28 @@ def test_what_leaves_most_of_unseen_experiments_is_not_of_its_form(closed: float
         assert (said.nearest, said.depends_on) == ("drive_nonlinearity", "experiment")
 
 
+@pytest.mark.parametrize(
+    ("rms_before", "rms_after", "closed", "more"),
+    [
+        (8.46, 2.035, 0.955, True),
+        (2.99, 1.74, 0.74, True),
+        (12.5, 0.96, 1.0, False),
+        (2.21, 1.073, 0.961, False),
+        (40.0, 4.0, 0.99, False),
+        (1.3, 1.19, 0.4, False),
+    ],
+)
+def test_three_effects_that_imitate_what_is_none_leave_more_than_noise(
+    rms_before: float, rms_after: float, closed: float, more: bool
+) -> None:
+    """A warming front end and a memory without a name, taken for three effects each; and what those that were right leave."""
+    assert Shrinkage(rms_before**2, rms_after**2, 1300, closed, 0.001).leaves_more is more
+
+
+def test_few_unseen_figures_prove_nothing_left() -> None:
+    assert not Shrinkage(4.0, 1.5, 40, 0.8, 0.1).leaves_more
+
+
 def test_none_is_believed_no_more_than_trials_allow() -> None:
     """Of what is there a sixth is not seen: no campaign makes a healthy device certain."""
     nothing = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=-9.0)})

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import Selection
 from gyro_calib.gap.spectra import pick_spectra
-from gyro_calib.gap.spectral_effects import spectral_effects
+from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
 from gyro_calib.gap.tones import find_tone
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Setpoints
@@ -155,12 +157,42 @@ def test_products_of_a_line_grow_with_its_share_of_the_wave() -> None:
     assert spectral_effects(records(np.random.default_rng(4)), LINEAR).products == 0.0
 
 
-def test_what_may_be_a_product_of_a_line_is_not_named() -> None:
+def two_found() -> Selection:
     none = np.zeros(0)
     candidates = [Candidate(name, {}, (), none) for name in ("duffing", "relaxation")]
     large, small = (Screened(c, gain, 1, gain / 2.0, none, none, 0.0, none) for c, gain in zip(candidates, (900.0, 90.0), strict=True))
-    found = Selection((large, small), (("duffing",), ("relaxation",)), (0.9, 0.8), None, {}, 1100.0, 110.0, 10)
-    model = SimpleNamespace(screener_with=lambda chosen: SimpleNamespace(chi2=1100.0 - 900.0 * (chosen == candidates[:1])))
-    assert _without_products(model, found, 0.0) == found  # type: ignore[arg-type]
-    left = _without_products(model, found, 200.0)  # type: ignore[arg-type]
-    assert (left.effects, left.groups, left.probabilities, left.chi2_after) == ((large,), (("duffing",),), (0.9,), 200.0)
+    return Selection((large, small), (("duffing",), ("relaxation",)), (0.9, 0.8), None, {}, 1100.0, 110.0, 10)
+
+
+def model_of(found: Selection, without: Callable[..., Screened | None]) -> Any:
+    """A campaign that leaves 200 with the first effect alone."""
+    first = [found.effects[0].candidate]
+    return SimpleNamespace(screener_with=lambda chosen: SimpleNamespace(chi2=1100.0 - 900.0 * (chosen == first)), seen_without=without)
+
+
+def test_what_may_be_a_product_of_a_line_is_not_named() -> None:
+    found = two_found()
+    model = model_of(found, lambda recordings, effect, others: effect)
+    assert _without_products(model, found, SpectralEffects((), None, ())) == found
+    left = _without_products(model, found, SpectralEffects((), None, (), 200.0))
+    assert (left.effects, left.groups, left.probabilities, left.chi2_after) == (found.effects[:1], (("duffing",),), (0.9,), 200.0)
+
+
+def test_a_tone_beside_an_open_drive_is_no_other_mode() -> None:
+    """A foreign carrier 0.33 Hz from an open drive stood in the means of its records: a mode at that distance fits them."""
+    found = two_found()
+
+    def without(recordings: tuple[int, ...], effect: Screened, others: list[Candidate]) -> Screened | None:
+        assert effect.candidate not in others
+        return effect if not recordings or effect.name == "duffing" else replace(effect, log_evidence=2.0)
+
+    model = model_of(found, without)
+    assert _without_products(model, found, SpectralEffects((), None, ())) == found
+    assert _without_products(model, found, SpectralEffects((), None, (), near=(3,))).effects == found.effects[:1]
+
+
+def test_records_near_a_tone_are_told() -> None:
+    made = records(np.random.default_rng(4), carrier_hz=(15000.0, 15020.0), tone=(15020.3, 3e-4))
+    found = spectral_effects(made, LINEAR)
+    assert [e.name for e in found.effects] == ["external_tone"]
+    assert found.near == (1, 3, 5, 7)

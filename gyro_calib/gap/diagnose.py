@@ -27,7 +27,7 @@ from .rate_table import said_late
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
-from .strangers import LEFT_SIGMA, MARGIN, Stranger, left_over
+from .strangers import MARGIN, Stranger, left_over, worth_of
 from .system import Solution
 from .told import told_sizes
 
@@ -41,9 +41,6 @@ _DOUBTFUL = 6.0
 _UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.7, 0.05
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
-#: root mean square over the noise that effects of the right form leave of unseen experiments at most, and the share of the gap: of some
-#: hundred and twenty that were right one left more than the former, and none as loud as 400 times its noise 0.001 of the latter
-_MOST_LEFT_RMS, _MOST_LEFT = 1.2, 0.02
 
 
 def diagnose(
@@ -91,7 +88,7 @@ def diagnose(
         _unknown(selection.stranger)
         or (None if effects else beside.unknown)
         or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
-        or (_unknown(left_over(model, chosen, selection.effects[0].name)) if chosen and _leaves_more(shrunk, beside) else None)
+        or (_unknown(left_over(model, chosen, chosen[0].name)) if chosen and not beside.effects and shrunk.leaves_more else None)
     )
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
@@ -189,9 +186,19 @@ def _scale_shift(model: CampaignModel, rich: Solution) -> tuple[float, float]:
 
 def _without_products(model: CampaignModel, selection: Selection, beside: SpectralEffects) -> Selection:
     """Less what a tone or a hum may have made: its squares, by loops that follow it, and itself where an open drive stands beside it."""
-    own = [k for k, e in enumerate(selection.effects) if e.gain > beside.products]
-    kept = [k for k in own if _counts_without(model, selection, k, beside)]
-    stranger = selection.stranger if selection.stranger is not None and selection.stranger.screened.gain > beside.products else None
+    chosen = [e.candidate for e in selection.effects]
+    kept = [
+        k
+        for k, e in enumerate(selection.effects)
+        if e.gain > beside.products
+        and (still := model.seen_without(beside.near, e, [c for c in chosen if c is not e.candidate])) is not None
+        and (still is e or still.log_evidence > MARGIN)
+    ]
+    stranger = selection.stranger
+    if stranger is not None:
+        heard = model.seen_without(beside.near, stranger.screened, chosen)
+        if stranger.screened.gain <= beside.products or heard is None or worth_of(heard) <= MARGIN:
+            stranger = None
     if len(kept) == len(selection.effects):
         return replace(selection, stranger=stranger)
     return replace(
@@ -200,15 +207,8 @@ def _without_products(model: CampaignModel, selection: Selection, beside: Spectr
         groups=tuple(selection.groups[k] for k in kept),
         probabilities=tuple(selection.probabilities[k] for k in kept),
         stranger=stranger,
-        chi2_after=model.screener_with([selection.effects[k].candidate for k in kept]).chi2,
+        chi2_after=model.screener_with([chosen[k] for k in kept]).chi2,
     )
-
-
-def _counts_without(model: CampaignModel, selection: Selection, k: int, beside: SpectralEffects) -> bool:
-    """Whether an effect counts without the recordings whose reference stands beside a tone."""
-    others = [e.candidate for j, e in enumerate(selection.effects) if j != k]
-    still = model.seen_without(beside.beside, selection.effects[k], others)
-    return still is not None and still.log_evidence > MARGIN
 
 
 def _unknown(found: Stranger | None) -> Unknown | None:
@@ -216,12 +216,6 @@ def _unknown(found: Stranger | None) -> Unknown | None:
         return None
     term = found.term
     return Unknown(term.location, term.phase, term.form, term.depends_on, found.nearest, found.screened.gain)
-
-
-def _leaves_more(shrunk: Shrinkage, beside: SpectralEffects) -> bool:
-    """Whether effects leave more of unseen experiments than noise does, their first order, or a tone: three of them imitate much."""
-    significant = shrunk.after - 1.0 > LEFT_SIGMA * math.sqrt(2.0 / shrunk.dof)
-    return not beside.effects and significant and shrunk.rms_after > _MOST_LEFT_RMS and shrunk.closed < 1.0 - _MOST_LEFT
 
 
 def _not_of_its_form(model: CampaignModel, selection: Selection, of_halves: Shrinkage) -> Unknown | None:

@@ -18,7 +18,7 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .signals import WARMING_K, smooth_temperature
 
-__all__ = ["RATES_HZ", "PickSpectrum", "beside_line", "detrended", "pick_spectra", "plain_records", "steep_window"]
+__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "near_line", "pick_spectra", "plain_records", "steep_window"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -98,7 +98,7 @@ def pick_spectra(recordings: Sequence[Recording]) -> list[PickSpectrum]:
     return [_spectrum(r) for r in plain_records(recordings)]
 
 
-def beside_line(recordings: Sequence[Recording], frequency_hz: float) -> tuple[int, ...]:
+def near_line(recordings: Sequence[Recording], frequency_hz: float) -> tuple[int, ...]:
     """Places of recordings of whose signal a line may be taken for a part: an open drive may stand beside it."""
     away = [abs(float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi) - frequency_hz) for r in recordings]
     return tuple(k for k, (r, hz) in enumerate(zip(recordings, away, strict=True)) if hz < _LEAST_BINS / r.duration_s)

@@ -12,7 +12,7 @@ from ..recording.recording import Recording
 from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
 from .parts import Linear
-from .spectra import beside_line, pick_spectra
+from .spectra import near_line, pick_spectra
 from .tones import Tone, find_tone
 
 __all__ = ["SPECTRAL", "SpectralEffects", "spectral_effects"]
@@ -44,7 +44,7 @@ class SpectralEffects:
         One line per effect of this kind.
     products : float
         Gain that the squares of a line may have in the slow flow: what is found there and no larger may be no more than that.
-    beside : tuple of int
+    near : tuple of int
         Recordings, by their place, whose reference stands so near to a tone that it belongs to their signal.
     """
 
@@ -52,7 +52,7 @@ class SpectralEffects:
     unknown: Unknown | None
     standings: tuple[Standing, ...]
     products: float = 0.0
-    beside: tuple[int, ...] = ()
+    near: tuple[int, ...] = ()
 
 
 def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: Iterable[str] = ()) -> SpectralEffects:
@@ -77,8 +77,8 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     alike = {name: e.name for e in effects for name in e.group[1:]}
     standings = [_standing(name, present, alike, growth, bool(spectra)) for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
     products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
-    beside = () if tone is None or tone.name != "external_tone" else beside_line(recordings, tone.frequency_hz)
-    return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings), products, beside)
+    near = () if tone is None or tone.name != "external_tone" else near_line(recordings, tone.frequency_hz)
+    return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings), products, near)
 
 
 def _tone(tone: Tone, left_out: set[str]) -> FoundEffect:
