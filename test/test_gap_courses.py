@@ -164,6 +164,8 @@ def test_three_changes_of_one_property_are_one_of_another_kind() -> None:
 
     assert one_change_of_another_kind(found("split_drift", "thermal_split_lag", "charge_accumulation"))
     assert not one_change_of_another_kind(found("split_drift", "thermal_split_lag", "damping_drift"))
+    # one gradient made all three
+    assert one_change_of_another_kind(found("thermal_drive_gain_lag", "thermal_damping_lag", "thermal_pickoff_gain_lag"))
     assert not one_change_of_another_kind(found("split_drift", "split_drift", "thermal_split"))
 
 

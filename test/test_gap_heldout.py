@@ -22,8 +22,11 @@ from gyro_calib.gap.system import Whitener, solve
 ROWS, COUNT, WANDER = 20, 8, 2.0
 
 
-def toy(sizes: np.ndarray, seed: int, share: float = 1.0) -> tuple[CampaignModel, Candidate]:
-    """Recordings of a constant and an effect, whose size may be another in each; a wander of each, smaller than its prior by ``share``."""
+def toy(sizes: np.ndarray, seed: int, share: float = 1.0, shown: int = COUNT) -> tuple[CampaignModel, Candidate]:
+    """Recordings of a constant and an effect, whose size may be another in each, and whose form only the first are believed to show.
+
+    Each has a wander, smaller than its prior by ``share``.
+    """
     rng = np.random.default_rng(seed)
     shapes = [np.linspace(-1.0, 1.0, ROWS) ** (1 + k % 3) for k in range(COUNT)]
     noise = rng.standard_normal((COUNT, ROWS)) + 1j * rng.standard_normal((COUNT, ROWS))
@@ -55,7 +58,12 @@ def toy(sizes: np.ndarray, seed: int, share: float = 1.0) -> tuple[CampaignModel
         target=target,
         screener=Screener(whitener, nuisances, target),
     )
-    effect = Candidate("drive_nonlinearity", {}, (Column("d_x", tuple(x.astype(complex) for x in shapes), ()),), np.array([10.0]))
+    effect = Candidate(
+        "drive_nonlinearity",
+        {},
+        (Column("d_x", tuple((k < shown) * x.astype(complex) for k, x in enumerate(shapes)), ()),),
+        np.array([10.0]),
+    )
     return cast(CampaignModel, model), effect
 
 
@@ -200,25 +208,24 @@ def test_what_leaves_most_of_unseen_experiments_is_not_of_its_form(closed: float
 
 
 @pytest.mark.parametrize(
-    ("rms_before", "rms_after", "closed", "more"),
-    [
-        (8.46, 2.035, 0.955, True),
-        (2.99, 1.74, 0.74, True),
-        (12.5, 0.96, 1.0, False),
-        (2.21, 1.073, 0.961, False),
-        (40.0, 4.0, 0.99, False),
-        (1.3, 1.19, 0.4, False),
-    ],
+    ("surprise", "closed", "dof", "more"),
+    [(1.51, 0.955, 1300, True), (0.96, 0.12, 1300, False), (3.1, 0.996, 1300, False), (1.5, 0.8, 40, False)],
 )
-def test_three_effects_that_imitate_what_is_none_leave_more_than_noise(
-    rms_before: float, rms_after: float, closed: float, more: bool
-) -> None:
-    """A warming front end and a memory without a name, taken for three effects each; and what those that were right leave."""
-    assert Shrinkage(rms_before**2, rms_after**2, 1300, closed, 0.001).leaves_more is more
+def test_effects_that_imitate_what_none_of_them_is_leave_more_than_noise(surprise: float, closed: float, dof: int, more: bool) -> None:
+    """Three, of a warming front end; but what one recording alone tells is foretold by no others, and first order leaves a share."""
+    assert Shrinkage(9.0, 2.0, dof, closed, 0.001, surprise=surprise).leaves_more is more
 
 
-def test_few_unseen_figures_prove_nothing_left() -> None:
-    assert not Shrinkage(4.0, 1.5, 40, 0.8, 0.1).leaves_more
+def test_an_effect_that_one_recording_alone_tells_surprises_nobody() -> None:
+    """The others foretell nothing of it, so all of it is left there, and they leave its size open; one that they know does surprise."""
+    once = np.zeros(COUNT)
+    once[0] = 40.0
+    model, effect = toy(once, 0, shown=1)
+    told = shrinkage(model, [effect])
+    assert told.after > 2.0
+    assert told.surprise < 1.3
+    model, effect = toy(once, 0)
+    assert shrinkage(model, [effect]).surprise > 2.0
 
 
 def test_none_is_believed_no_more_than_trials_allow() -> None:

@@ -27,7 +27,7 @@ from .rate_table import said_late
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
-from .strangers import MARGIN, Stranger, left_over, worth_of
+from .strangers import MARGIN, Stranger, worth_most_of_rest, worth_of
 from .system import Solution
 from .told import told_sizes
 
@@ -88,7 +88,7 @@ def diagnose(
         _unknown(selection.stranger)
         or (None if effects else beside.unknown)
         or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
-        or (_unknown(left_over(model, chosen, chosen[0].name)) if chosen and not beside.effects and shrunk.leaves_more else None)
+        or (None if beside.effects else _more_than_they_say(model, selection, shrunk))
     )
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
@@ -230,6 +230,13 @@ def _not_of_its_form(model: CampaignModel, selection: Selection, of_halves: Shri
     location = EFFECTS[registry_name(first.name, first.candidate.setting)].location
     form = f"{first.name}, but by another amount in other experiments"
     return Unknown(location, "phase not told", form, "experiment", first.name, first.gain)
+
+
+def _more_than_they_say(model: CampaignModel, selection: Selection, shrunk: Shrinkage) -> Unknown | None:
+    """The unnamed term that says most of what effects leave, if they leave more of unseen experiments than ones of the right form."""
+    if not selection.effects or not shrunk.leaves_more:
+        return None
+    return _unknown(worth_most_of_rest(model, [e.candidate for e in selection.effects], selection.effects[0].name))
 
 
 def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:

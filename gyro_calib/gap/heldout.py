@@ -33,9 +33,8 @@ _BY_CHANCE = 1e-3
 _TOLD_BY_ITSELF = 1e-6
 #: size of an effect, in units of its column's norm, that is none
 _LEAST = 1e-9
-#: root mean square over the noise that effects of the right form leave at most, and share of the gap: of some hundred and twenty that were
-#: right in trials one left more than the former, and those of 400 times their noise left less than 0.001 of the latter
-_MOST_RMS, _MOST_SHARE = 1.2, 0.02
+#: share of the gap that effects of the right form leave at most, if they leave more than noise: those of 400 times their noise left 0.004
+_MOST_LEFT = 0.02
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,8 @@ class Shrinkage:
         Experiments that were held out and hold a gap.
     rate_before, rate_after : float
         Rate that their means leave unexplained, root mean square [rad/s].
+    surprise : float
+        What ``after`` is in units of what the others leave open of the sizes, besides noise: of effects of the right form, one.
     """
 
     before: float
@@ -65,6 +66,7 @@ class Shrinkage:
     labels: tuple[str, ...] = ()
     rate_before: float = 0.0
     rate_after: float = 0.0
+    surprise: float = 0.0
 
     @property
     def rms_before(self) -> float:
@@ -79,8 +81,7 @@ class Shrinkage:
     @property
     def leaves_more(self) -> bool:
         """Whether effects leave more than noise does, and more than their first order: three of them imitate much."""
-        significant = self.after - 1.0 > LEFT_SIGMA * math.sqrt(2.0 / max(self.dof, 1))
-        return significant and self.rms_after > _MOST_RMS and self.closed < 1.0 - _MOST_SHARE
+        return self.surprise - 1.0 > LEFT_SIGMA * math.sqrt(2.0 / max(self.dof, 1)) and self.closed < 1.0 - _MOST_LEFT
 
 
 def halves(model: CampaignModel) -> tuple[list[int], list[int]]:
@@ -190,11 +191,13 @@ class _Unseen:
 
     def shrinkage(self, parts: Sequence[_HeldOut]) -> Shrinkage:
         """Of all that was held out, part by part."""
-        before = gain = noise = foretold = 0.0
+        before = gain = noise = foretold = open_ = 0.0
         gains: list[_Improved] = []
         for out in parts:
-            sizes = self.told(out, self._order)[0]
+            sizes, covariance = self.told(out, self._order)
             effect = out.shown @ sizes
+            towards = out.shown.T @ (out.missed - effect)
+            open_ += float(towards @ np.linalg.solve(np.linalg.inv(covariance) + out.shown.T @ out.shown, towards))
             gains += self._improved(out, sizes)
             before += float(out.missed @ out.missed)
             gain += float(2.0 * out.missed @ effect - effect @ effect)
@@ -210,7 +213,7 @@ class _Unseen:
             for side in ([u.before for u in gains if u.has_rate], [u.after for u in gains if u.has_rate])
         ]
         dof = sum(out.missed.size for out in parts)
-        return Shrinkage(before / noise, after / noise, dof, closed, sd, labels, rates[0], rates[1])
+        return Shrinkage(before / noise, after / noise, dof, closed, sd, labels, rates[0], rates[1], (after - open_) / noise)
 
     def _improved(self, out: _HeldOut, sizes: FloatArray) -> list[_Improved]:
         """What the effects, of a size that others told, do for each recording."""

@@ -23,11 +23,11 @@ __all__ = [
     "SECOND_ORDER",
     "Stranger",
     "bank_terms",
-    "left_over",
     "one_change_of_another_kind",
     "own_directions",
     "stranger",
     "unnamed_counts",
+    "worth_most_of_rest",
     "worth_of",
 ]
 
@@ -44,13 +44,15 @@ _BETTER = 12.0
 #: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 13 in 24 healthy campaigns, 18 in another
 _COURSE_MARGIN = 10.0
 
-#: properties and their changes with time and temperature that the registry knows: a device has one of them or two, not three
+#: properties and their changes with time and temperature that the registry knows: a device has one of them or two, not three; and what
+#: lags behind the temperature, for if three properties do one thing makes them
 CHANGES = (
     {"split_drift", "charge_accumulation", "thermal_split", "thermal_split_lag"},
     {"damping_drift", "thermal_damping", "thermal_damping_lag"},
     {"frequency_ageing", "thermal_frequency_curvature", "thermal_lag"},
     {"drive_gain_drift", "thermal_drive_gain", "thermal_drive_gain_lag"},
     {"pickoff_gain_drift", "thermal_pickoff_gain", "thermal_pickoff_gain_lag"},
+    {"thermal_lag", "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag"},
 )
 _TOO_MANY = 3
 
@@ -101,7 +103,7 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
     return None
 
 
-def left_over(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
+def worth_most_of_rest(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
     """The anonymous term that says most of what effects leave."""
     best, term = max(_unnamed(model, model.screener_with(chosen), chosen), key=lambda pair: worth_of(pair[0]), default=(None, None))
     return Stranger(term, best, nearest) if best is not None and term is not None else None
@@ -110,10 +112,12 @@ def left_over(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -
 def _worth_of_one(model: CampaignModel, chosen: Sequence[Candidate], first: Sequence[Screened]) -> float:
     """What an unnamed term must be worth to be better than any one effect of the registry.
 
-    An effect of first order is short of what it takes by a share of it: an asymmetry of SNR 450 was 26 short of 201 702.
+    An effect of first order is short of what it takes by a share of it: an asymmetry of SNR 450 was 26 short of 201 702. Where several
+    effects count each is more than that share of the first: a square drag that the registry lacked was a cubic one and two more.
     """
     one = [*first, *(s for c in chosen if (s := _by_its_own(model, c)) is not None)]
-    return max((worth_of(s, own_directions(s)) + max(_BETTER, 0.5 * SECOND_ORDER * s.gain) for s in one), default=0.0)
+    short = 0.5 * SECOND_ORDER if len(chosen) == 1 else 0.0
+    return max((worth_of(s, own_directions(s)) + max(_BETTER, short * s.gain) for s in one), default=0.0)
 
 
 def _by_its_own(model: CampaignModel, candidate: Candidate) -> Screened | None:
@@ -127,7 +131,10 @@ def _by_its_own(model: CampaignModel, candidate: Candidate) -> Screened | None:
 
 
 def one_change_of_another_kind(effects: Sequence[Screened]) -> bool:
-    """Whether so many effects say how one property changes that it changes in a way that none of them is: hysteresis took three."""
+    """Whether so many effects say how one property changes, or that all lag, that none of them is what does: hysteresis took three.
+
+    A rate made by a gradient across the shell was late gains of both sides and a late damping.
+    """
     names = {e.name for e in effects}
     return any(len(names & changes) >= _TOO_MANY for changes in CHANGES)
 
