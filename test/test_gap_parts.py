@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,6 +52,22 @@ def test_the_flow_says_how_fast_a_reading_changes(f: Callable[[np.ndarray], np.n
     # o' - A o with the detuning that a form by derivatives has to know
     expected = np.gradient(part.signal, ROW_S, axis=0, edge_order=2) - part.signal @ (A + 1j * detuning_rad_s * np.eye(2)).T
     np.testing.assert_allclose(found[3:-3], expected[3:-3], atol=1e-3 * max(1.0, detuning_rad_s))
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.7, 2.5])
+def test_in_open_drive_the_other_axis_rubs_in_its_own_phase(phase: float) -> None:
+    """A drive of x alone moves y a little by cross coupling, in any phase: all of the friction of y acts, along that motion."""
+    signals, linear = moving(0.0)
+    volts = np.stack(
+        [np.exp(0.3j) * np.ones_like(signals.time_s), 2e-4 * np.exp(1j * (0.3 + phase)) * np.ones_like(signals.time_s)], axis=1
+    )
+    for mode in ("loops_off", "ftr_x"):
+        open_ = Signals(replace(signals.recording, command=Command(mode)), 2 * np.pi * 15000.0, 1.5, 1, 25.0, 0.0)
+        parts = FORMS["coulomb_friction"].parts(_without_drive(with_pick(open_, volts)), linear, {"axes": 1.0})
+        found = np.stack([p.signal[:, 1] for p in parts if p.parameter.startswith(SKEW)], axis=1)
+        rubbed = -volts[:, 1] / np.abs(volts[:, 1])
+        told = np.linalg.lstsq(np.concatenate([found.real, found.imag]), np.concatenate([rubbed.real, rubbed.imag]), rcond=None)[0]
+        assert (np.abs(found @ told - rubbed).max() < 1e-6) == (mode == "loops_off" or phase == 0.0)
 
 
 @pytest.mark.parametrize("skew", [2e-4, -1e-3])
