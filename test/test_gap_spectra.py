@@ -184,7 +184,7 @@ def test_a_tone_beside_an_open_drive_is_no_other_mode() -> None:
 
     def without(recordings: tuple[int, ...], effect: Screened, others: list[Candidate]) -> Screened | None:
         assert effect.candidate not in others
-        return effect if not recordings or effect.name == "duffing" else replace(effect, log_evidence=2.0)
+        return effect if not recordings or effect.name == "duffing" else replace(effect, gain=4.0, log_evidence=2.0)
 
     model = model_of(found, without)
     assert _without_products(model, found, SpectralEffects((), None, ())) == found

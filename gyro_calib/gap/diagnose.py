@@ -24,6 +24,7 @@ from .model import CampaignModel, look_at
 from .next_experiment import experiment_for, next_experiment
 from .preflight import check_campaign, usable
 from .rate_table import said_late
+from .screen import Candidate, Screened
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
@@ -187,18 +188,13 @@ def _scale_shift(model: CampaignModel, rich: Solution) -> tuple[float, float]:
 def _without_products(model: CampaignModel, selection: Selection, beside: SpectralEffects) -> Selection:
     """Less what a tone or a hum may have made: its squares, by loops that follow it, and itself where an open drive stands beside it."""
     chosen = [e.candidate for e in selection.effects]
-    kept = [
-        k
-        for k, e in enumerate(selection.effects)
-        if e.gain > beside.products
-        and (still := model.seen_without(beside.near, e, [c for c in chosen if c is not e.candidate])) is not None
-        and (still is e or still.log_evidence > MARGIN)
-    ]
+    own = [k for k, e in enumerate(selection.effects) if e.gain > beside.products]
+    kept = [k for k in own if _heard_elsewhere(model, beside, selection.effects[k], [c for j, c in enumerate(chosen) if j != k])]
     stranger = selection.stranger
-    if stranger is not None:
-        heard = model.seen_without(beside.near, stranger.screened, chosen)
-        if stranger.screened.gain <= beside.products or heard is None or worth_of(heard) <= MARGIN:
-            stranger = None
+    if stranger is not None and not (
+        stranger.screened.gain > beside.products and _heard_elsewhere(model, beside, stranger.screened, chosen)
+    ):
+        stranger = None
     if len(kept) == len(selection.effects):
         return replace(selection, stranger=stranger)
     return replace(
@@ -209,6 +205,14 @@ def _without_products(model: CampaignModel, selection: Selection, beside: Spectr
         stranger=stranger,
         chi2_after=model.screener_with([chosen[k] for k in kept]).chi2,
     )
+
+
+def _heard_elsewhere(model: CampaignModel, beside: SpectralEffects, found: Screened, others: list[Candidate]) -> bool:
+    """Whether what was found counts without the recordings whose reference stands beside a tone."""
+    if not beside.near:
+        return True
+    still = model.seen_without(beside.near, found, others)
+    return still is not None and max(still.log_evidence, worth_of(still)) > MARGIN
 
 
 def _unknown(found: Stranger | None) -> Unknown | None:
