@@ -19,7 +19,7 @@ from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
 
-#: of an effect as loud as a real device's, and of what its form may be short of it
+#: of an effect as loud as a practice device's, and of what its form may be short of it
 LOUD, SHORT = 450.0, 8.0
 
 
