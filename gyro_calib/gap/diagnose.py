@@ -28,7 +28,7 @@ from .screen import Candidate, Screened
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
-from .strangers import MARGIN, Stranger, worth_most_of_rest, worth_of
+from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
 from .system import Solution
 from .told import told_sizes
 
@@ -240,7 +240,7 @@ def _more_than_they_say(model: CampaignModel, selection: Selection, shrunk: Shri
     """The unnamed term that says most of what effects leave, if they leave more of unseen experiments than ones of the right form."""
     if not selection.effects or not shrunk.leaves_more:
         return None
-    return _unknown(worth_most_of_rest(model, [e.candidate for e in selection.effects], selection.effects[0].name))
+    return _unknown(unnamed_rest(model, [e.candidate for e in selection.effects], selection.effects[0].name))
 
 
 def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:

@@ -27,7 +27,7 @@ __all__ = [
     "own_directions",
     "stranger",
     "unnamed_counts",
-    "worth_most_of_rest",
+    "unnamed_rest",
     "worth_of",
 ]
 
@@ -103,7 +103,7 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
     return None
 
 
-def worth_most_of_rest(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
+def unnamed_rest(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
     """The anonymous term that says most of what effects leave."""
     best, term = max(_unnamed(model, model.screener_with(chosen), chosen), key=lambda pair: worth_of(pair[0]), default=(None, None))
     return Stranger(term, best, nearest) if best is not None and term is not None else None
