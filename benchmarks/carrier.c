@@ -150,6 +150,13 @@ int carrier_rows(double *z, double *loop, const double *param, double *adc_acc, 
     for (long row = 0; row < rows; row++) {
         const double *p = physics + 8 * row, *b = drive + 8 * row, *pk = pick + 8 * row;
         const double kick = p[7];
+        if (z[4] != 0.0) { /* a stiffness that moves does so smoothly: keep phase and action */
+            const double q = 0.25 / (w * w), d11 = q * (p[0] - z[4]), d12 = q * (p[1] - z[5]), d22 = q * (p[2] - z[6]);
+            const double x0 = x, y0 = y, vx0 = vx, vy0 = vy;
+            x = x0 - (d11 * x0 + d12 * y0), y = y0 - (d12 * x0 + d22 * y0);
+            vx = vx0 + (d11 * vx0 + d12 * vy0), vy = vy0 + (d12 * vx0 + d22 * vy0);
+        }
+        z[4] = p[0], z[5] = p[1], z[6] = p[2];
         exact_propagator(p, w, dt, phi, gamma);
         for (long step = 0; step < controls; step++) {
             const double omega = loop[S_OMEGA], push = loop[S_BODY];

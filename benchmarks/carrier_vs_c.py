@@ -168,7 +168,7 @@ class _Released(GyroSimulator):
 
     @property
     def motion(self) -> NDArray[np.float64]:
-        return np.array(self._plant.z)
+        return np.array(self._plant.z[:4])
 
 
 def _lossless() -> Device:

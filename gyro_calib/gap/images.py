@@ -18,37 +18,65 @@ from numpy.typing import NDArray
 
 from .columns import Column, part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .parts import Linear, Part
+from .parts import Kind, Linear, Part
 from .signals import Signals
 from .spectra import RATES_HZ
 
 __all__ = ["image_columns"]
 
+ComplexArray = NDArray[np.complex128]
 #: how near twice the carrier must be to a multiple of the converters' rates for the image of an excitation to stand still [Hz]
 _NEAR_HZ = 0.3
 #: angle that a wave must turn by for its drives to turn [rad]; how wide a line is, in lines of its record
 _TURNING_RAD, _LINES = 0.3, 2.0
+#: size of the image of a stiffness over that of steps, sd
+_STEPPED = 2.0
 
 
 def image_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """Image of the drive in every record whose drives turn or are excited and in which it can be seen, two phases, as the formula has it.
+    """Images of drives and of a stiffness that is warmed in every record in which they can be seen, two phases, as the formulas have it.
 
     That of the reading is the same force to within what the flow tells, and shares the columns.
     """
+    return [*_of_drives(evidence, linear), *_of_stiffness(evidence, linear)]
+
+
+def _of_drives(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """Of the drives that turn or are excited."""
     heard = [(r, near_hz) for r in evidence if r.is_wave and (near_hz := _reach_hz(r)) > 0.0]
-    own = {r.index: mirror for r, near_hz in heard if (mirror := _mirror(r.signals, near_hz)) is not None}
-    if not own:
+    images = {
+        r.index: mirror * np.gradient(r.signals.drive, r.signals.row_s, axis=0).conj()
+        for r, near_hz in heard
+        if (mirror := _mirror(r.signals, near_hz)) is not None
+    }
+    return _in_two_phases(evidence, linear, images, "image", "drive", 1.0)
+
+
+def _of_stiffness(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """Of a stiffness that follows the temperature in steps."""
+    images = {}
+    for r in evidence:
+        if r.is_wave and r.is_warming and (mirror := _mirror(r.signals, float(r.lines("amplitude").frequency_hz.max()))) is not None:
+            omega = r.signals.omega_rad_s
+            # the mirror is 1/(2 pi n/T) in size, and n/T is 2 f
+            images[r.index] = np.gradient(omega, r.signals.row_s)[:, None] * mirror * r.signals.pick.conj()
+    return _in_two_phases(evidence, linear, images, "stiffness_image", "flow", _STEPPED)
+
+
+def _in_two_phases(
+    evidence: CampaignEvidence, linear: Linear, images: dict[int, ComplexArray], name: str, kind: Kind, prior_sd: float
+) -> list[Column]:
+    """Columns of images, given by the index of their record."""
+    if not images:
         return []
     by_recording = []
     for r in evidence:
         parts = []
-        for index, mirror in own.items():
-            image = np.zeros_like(r.signals.drive)
-            if index == r.index:
-                image = mirror * np.gradient(r.signals.drive, r.signals.row_s, axis=0).conj()
-            parts += [Part(f"image_{index}_re", "drive", image), Part(f"image_{index}_im", "drive", 1j * image)]
+        for index, own in images.items():
+            image = own if index == r.index else np.zeros_like(own, shape=r.signals.drive.shape)
+            parts += [Part(f"{name}_{index}_re", kind, image), Part(f"{name}_{index}_im", kind, 1j * image)]
         by_recording.append(parts)
-    return [replace(c, prior_sd=1.0) for c in part_columns(evidence, by_recording, linear)]
+    return [replace(c, prior_sd=prior_sd) for c in part_columns(evidence, by_recording, linear)]
 
 
 def _reach_hz(r: RecordingEvidence) -> float:
@@ -62,7 +90,7 @@ def _reach_hz(r: RecordingEvidence) -> float:
     return float(r.lines("amplitude").frequency_hz.max() + turns_hz + _LINES / r.recording.duration_s)
 
 
-def _mirror(s: Signals, near_hz: float = _NEAR_HZ) -> NDArray[np.complex128] | None:
+def _mirror(s: Signals, near_hz: float = _NEAR_HZ) -> ComplexArray | None:
     """Turns a conjugate into its image [s], shape (n, 1); nothing where the image is never nearer than that to standing still."""
     twice_hz = s.omega_rad_s / np.pi
     # a resonance that is warmed may pass several multiples: one image at a time is near enough to be heard

@@ -19,7 +19,7 @@ from .effect_kernels import always_on_forces, effect_samples, stray_feeds
 from .effect_layout import E_GAIN
 from .effect_memory import drive_phasors, pick_phasors
 from .multiplex import READ_X, READ_Y, hold_columns, slot_envelope, slot_gains
-from .propagator import exact_propagator
+from .propagator import exact_propagator, stiffness_step
 
 __all__ = [
     "FLAG_CONVERTERS",
@@ -95,8 +95,8 @@ def carrier_rows(  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    z : ndarray, shape (4,)
-        Motion (x, y, x'/w, y'/w) [m].
+    z : ndarray, shape (MOTION,)
+        Motion (x, y, x'/w, y'/w) [m], and the stiffness of the last row.
     loop, param : ndarray
         State and parameters of :func:`.control.control_step`.
     adc_acc : ndarray, shape (2, 4)
@@ -158,6 +158,9 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     phase = loop[S_PHASE]
     for row in range(rows):
         p = physics[row]
+        d11, d12, d22 = stiffness_step(z, p, w)
+        x, y = x - (d11 * x + d12 * y), y - (d12 * x + d22 * y)
+        vx, vy = vx + (d11 * vx + d12 * vy), vy + (d12 * vx + d22 * vy)
         exact_propagator(p[0], p[1], p[2], p[3], p[4], p[5], p[6], w, dt, phi, gamma)
         f00, f01, f02, f03 = phi[0, 0], phi[0, 1], phi[0, 2], phi[0, 3]
         f10, f11, f12, f13 = phi[1, 0], phi[1, 1], phi[1, 2], phi[1, 3]

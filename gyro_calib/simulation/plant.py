@@ -26,6 +26,7 @@ from .effect_setup import (
 )
 from .flicker import FlickerSource
 from .normals import NormalSource
+from .propagator import MOTION
 from .slow_flow import slow_flow_rows
 
 __all__ = ["CarrierPlant", "Plant", "SlowFlowPlant"]
@@ -137,7 +138,8 @@ class CarrierPlant(_Base):
         self.w = device.resonator.omega0_rad_s
         self._physics = _OverTemperature(self._physics_at)
         motion = np.linalg.solve(device.pickoff_matrix(self._rise0()), start.pick)
-        self.z = np.concatenate([motion.real, -motion.imag * omega / self.w])
+        self.z = np.zeros(MOTION)
+        self.z[:4] = np.concatenate([motion.real, -motion.imag * omega / self.w])
         tail = np.array([self.adc_w[1:].sum(), self.adc_w[2].sum()])
         if device.multiplexing.enabled:
             tail = np.array([1.0, 0.0])
