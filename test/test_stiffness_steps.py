@@ -52,7 +52,7 @@ def test_a_warmed_resonator_keeps_its_action() -> None:
     simulator = _Released(device)
     w = device.resonator.omega0_rad_s
     action = []
-    for k in range(int(SPAN_S / 0.05)):
+    for _ in range(int(SPAN_S / 0.05)):
         simulator.advance(0.05)
         # the stiffness of the last row
         omega = float(np.sqrt(simulator._plant.z[4]))

@@ -65,7 +65,7 @@ def stiffness_step(z, p, w):  # type: ignore[no-untyped-def]
 
     A stiffness that follows a temperature does so smoothly: ``x' <- (1 - d) x``, ``v <- (1 + d) v`` keeps phase and action as a slow
     change does. Left as it is, a step works on where the carrier happens to be: ``a'/a = (w'/2w)(cos 2 phi - 1)``, and where twice the
-    carrier passes a multiple of the rate of steps, cos 2 phi stands still (a hemisphere of 5000 Hz, 4e-5 per second of amplitude at 0.35 Hz/s).
+    carrier passes a multiple of the rate of steps, cos 2 phi stands still (5000 Hz at 0.35 Hz/s: 4e-5 of amplitude per second).
     """
     d11 = d12 = d22 = 0.0
     if z[4] != 0.0:
