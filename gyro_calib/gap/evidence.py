@@ -20,7 +20,7 @@ from ..estimation.wave_lines import role_of
 from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame
 from ..recording.recording import Recording
 from .lines import lines_of
-from .noise_law import Lines
+from .noise_law import Grams, Lines
 from .signals import WARMING_K, Projector, Signals, smooth_temperature
 
 __all__ = ["CHANNELS", "STEADY", "WARMING", "CampaignEvidence", "RecordingEvidence"]
@@ -80,11 +80,17 @@ class RecordingEvidence:
         """Test functions of a channel; the frequency of a wave is relative to its amplitude."""
         projector = self.quiet_forms if quiet else self.signal_forms
         f = projector.frequency_hz
-        slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
+        slope, walk = np.diag(projector.slope_gram), np.diag(projector.walk_gram)
         scale = self.mean_square if channel == "frequency" and self.is_wave else 1.0
         # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds little noise beside that
         mean = OWN_MEAN_LINE if channel == "frequency" and self.is_wave else MEAN_LINE
-        return Lines(np.where(f == 0.0, mean / self.recording.duration_s, f), slope, scale, f == 0.0)
+        return Lines(np.where(f == 0.0, mean / self.recording.duration_s, f), slope, scale, f == 0.0, walk)
+
+    @cached_property
+    def grams(self) -> Grams:
+        """Of the test functions of one side at the signal's lines."""
+        count = self.signal.gram.shape[0] // 2
+        return Grams(self.signal.gram[:count, :count], self.signal_forms.slope_gram, self.signal_forms.walk_gram)
 
     @cached_property
     def mean_square(self) -> float:

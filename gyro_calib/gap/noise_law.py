@@ -8,12 +8,13 @@ the amplitude; what the pick-off adds is not.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-__all__ = ["PICKOFF", "WHITE", "Lines", "NoiseLaw", "fit_law"]
+__all__ = ["PICKOFF", "WHITE", "Grams", "Lines", "NoiseLaw", "fit_law"]
 
 FloatArray = NDArray[np.float64]
 #: what a further term must gain beyond the information criterion, twice the log likelihood: strong evidence
@@ -41,17 +42,29 @@ class Lines:
     scale : float
         Squared amplitude that white, flicker and walk are relative to.
     is_mean : ndarray of bool, shape (m,)
+    walk_s2 : ndarray, shape (m,)
+        What a walk of density 1/f^2 comes to on each; left out: that of endless windows.
     """
 
     frequency_hz: FloatArray
     slope_hz2: FloatArray
     scale: float
     is_mean: NDArray[np.bool_]
+    walk_s2: FloatArray | None = None
 
     def basis(self) -> FloatArray:
         """Densities of the four terms, shape (m, 4): white, flicker, pick-off, walk."""
         f = self.frequency_hz
-        return np.column_stack([np.full(f.size, self.scale), self.scale / f, self.slope_hz2, self.scale / f**2])
+        walk = f**-2.0 if self.walk_s2 is None else np.where(self.is_mean, f**-2.0, self.walk_s2)
+        return np.column_stack([np.full(f.size, self.scale), self.scale / f, self.slope_hz2, self.scale * walk])
+
+
+class Grams(NamedTuple):
+    """Inner products of test functions, shape (m, m) each: theirs, of their slopes over (2 pi)^2, of a walk of density 1/f^2."""
+
+    value: FloatArray
+    slope: FloatArray
+    walk: FloatArray
 
 
 @dataclass(frozen=True)
@@ -64,6 +77,17 @@ class NoiseLaw:
     def density(self, lines: Lines) -> FloatArray:
         """Density on each test function."""
         return np.asarray(lines.basis() @ np.array(self.coefficients) + self.mean * lines.scale * lines.is_mean)
+
+    def covariance(self, lines: Lines, grams: Grams) -> FloatArray:
+        """Covariance of the test functions, shape (m, m); what a mean has beside its white noise is its own."""
+        white, flicker, pickoff, walk = self.coefficients
+        apart = np.where(lines.is_mean[:, None] | lines.is_mean, np.eye(lines.is_mean.size), 1.0)
+        wide = lines.frequency_hz**-0.5
+        densities = self.density(lines)
+        total = white * lines.scale * grams.value + pickoff * grams.slope
+        total = total + lines.scale * apart * (flicker * np.outer(wide, wide) * grams.value + walk * grams.walk)
+        total[np.diag_indices_from(total)] = densities
+        return np.asarray(total)
 
     def slow(self, lines: Lines) -> FloatArray:
         """What of the density goes on from record to record: flicker, walk, and what means differ by."""

@@ -182,6 +182,21 @@ class Projector:
     second: FloatArray
 
     @cached_property
+    def slope_gram(self) -> FloatArray:
+        """Covariance of one side, shape (m, m), that white noise of the pick-offs brings: integrals of phi' phi', over (2 pi)^2."""
+        return np.asarray(self.signals.row_s * (self.first @ self.first.T) / (2.0 * np.pi) ** 2)
+
+    @cached_property
+    def walk_gram(self) -> FloatArray:
+        """That a walk of density 1/f^2 about its own mean brings: integrals of Phi Phi, the sums of phi less its mean, times (2 pi)^2.
+
+        The window is flat, so that what a walk comes to at the ends of its record is in every line: 1 to 3 times 1/f^2, and alike in all.
+        """
+        row_s = self.signals.row_s
+        summed = row_s * np.cumsum(self.value - self.value.mean(axis=1, keepdims=True), axis=1)
+        return np.asarray((2.0 * np.pi) ** 2 * row_s * (summed @ summed.T))
+
+    @cached_property
     def _plain(self) -> FloatArray:
         """Operator of :meth:`plain`, shape (2 m, 2 n): a signal's rows one after the other, x and y beside each other."""
         s = self.signals

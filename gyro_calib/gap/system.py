@@ -65,11 +65,12 @@ class Whitener:
         for r in evidence:
             pair = []
             for part in range(2):
-                channels = [CHANNELS[2 * side + part] for side in range(2)]
-                density = np.concatenate([more.get((r.index, c), 1.0) * noise[r.noise_key(c)].density(r.lines(c)) for c in channels])
-                sd = np.sqrt(density)
-                alike = _of_its_own_mean(r) if part else r.signal.gram
-                pair.append(np.linalg.cholesky(alike * np.outer(sd, sd) + 1e-12 * np.diag(density)))
+                sides = []
+                for channel in (CHANNELS[2 * side + part] for side in range(2)):
+                    covariance = noise[r.noise_key(channel)].covariance(r.lines(channel), r.grams)
+                    sides.append(more.get((r.index, channel), 1.0) * _own_mean_apart(r, channel, covariance))
+                whole = scipy.linalg.block_diag(*sides)
+                pair.append(np.linalg.cholesky(whole + 1e-12 * np.diag(np.diag(whole))))
             factors.append((pair[0], pair[1]))
         return cls(tuple(factors))
 
@@ -118,17 +119,12 @@ class Solution:
         return {c.name: float(v) for c, v in zip(self.columns, self.values, strict=True)}
 
 
-def _of_its_own_mean(r: RecordingEvidence) -> FloatArray:
-    """Correlations of a recording's test functions, a frequency's mean apart: what it is beyond the recording's own is no line's."""
-    apart = np.zeros(r.signal.lhs.size, dtype=bool)
-    if r.is_wave:
-        lines = r.lines("frequency")
-        apart[: lines.is_mean.size] = lines.is_mean
-    return np.where(apart[:, None] == apart, r.signal.gram, 0.0)
-
-
-def _inverse(factor: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.inv(factor), dtype=np.float64)
+def _own_mean_apart(r: RecordingEvidence, channel: str, covariance: FloatArray) -> FloatArray:
+    """Covariance of a channel's equations, a frequency's mean apart: what it is beyond the recording's own is no line's."""
+    lines = r.lines(channel)
+    if channel != "frequency" or not r.is_wave or not lines.is_mean.any():
+        return covariance
+    return np.where(lines.is_mean[:, None] == lines.is_mean, covariance, 0.0)
 
 
 def with_priors(columns: Sequence[Column], design: FloatArray) -> FloatArray:
