@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -76,6 +77,18 @@ def test_a_louder_floor_is_as_good_as_a_line_of_its_own_kind_but_no_better_than_
     assert min(paid) > 10.0
 
 
+def test_a_floor_is_not_ten_times_what_it_was_measured_to_be() -> None:
+    """A drift of one drive's gain passed for floors nine and four times as large, the drift of none."""
+    capped, free = [], []
+    for seed in range(10):
+        found = solution({"gain": 0.05}, np.random.default_rng(seed))
+        capped.append(gained_by_resizing(found, drift_family, {"gain": 0.005}))
+        with mock.patch("gyro_calib.gap.sizes._MOST_TOO_SMALL", math.inf):
+            free.append(gained_by_resizing(found, drift_family, {"gain": 0.005}))
+    assert np.all(np.array(capped) > 0.0)
+    assert np.median(np.array(capped) / free) < 0.8
+
+
 def test_a_wave_that_turns_meets_what_stands_still_in_the_case() -> None:
     """1/f volts of the drives: in turned records they are at the turning line, where no repeat of a mean tells how large they are."""
     base = draw_unit(load_device("hrg_hardware"), 5)
@@ -114,13 +127,13 @@ def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of
 
 
 def test_what_goes_with_time_must_beat_larger_floors() -> None:
-    """A clean ring's floors are as large as they are; told to be a hundredth of it, what they do would be an effect's."""
+    """A clean ring's floors are as large as they are; told to be a third of it, what they do would be an effect's."""
     device = draw_unit(load_device("ring_15k"), 5)
     instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(8), fidelity="carrier"), 2e-5)
     campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
     f = campaign.factory
     model = look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
-    hushed = replace(model, nuisances=tuple(replace(c, prior_sd=0.01 * c.prior_sd) if drift_family(c) else c for c in model.nuisances))
+    hushed = replace(model, nuisances=tuple(replace(c, prior_sd=c.prior_sd / 3.0) if drift_family(c) else c for c in model.nuisances))
     drift = next(s for s in model.screener.screened(model.candidates["split_drift"]))
     other = next(s for s in model.screener.screened(model.candidates["duffing"]))
     least, most = louder_floors(model, []), louder_floors(hushed, [])
