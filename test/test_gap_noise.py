@@ -280,17 +280,17 @@ def test_a_walk_is_alike_at_the_ends_of_its_record_on_every_line() -> None:
     row_s, rows = 0.01, 1000
     f = functions_on(np.arange(rows) * row_s, row_s, [0.1 * k for k in range(16)])
     projector = Projector(cast(Signals, SimpleNamespace(row_s=row_s)), f.frequency_hz, f.value, f.first, f.second)
-    grams = Grams(row_s * (f.value @ f.value.T), projector.slope_gram, projector.walk_gram)
+    grams = Grams(row_s * (f.value @ f.value.T), projector.walk_gram)
     rng = np.random.default_rng(8)
-    # of densities 1, 1/f^2 and, through the slope, f^2
+    # of densities 1 and 1/f^2
     walk = 2.0 * np.pi * np.cumsum(rng.standard_normal((4000, rows)), axis=1) * np.sqrt(row_s)
     walk -= walk.mean(axis=1, keepdims=True)
-    white, pickoff = (rng.standard_normal((4000, rows)) / np.sqrt(row_s) for _ in range(2))
-    seen = row_s * (1.3 * walk + 2.0 * white) @ f.value.T + 0.7 * row_s * pickoff @ f.first.T / (2.0 * np.pi)
+    white = rng.standard_normal((4000, rows)) / np.sqrt(row_s)
+    seen = row_s * (1.3 * walk + 2.0 * white) @ f.value.T
     is_mean = f.frequency_hz == 0.0
-    lines = Lines(np.where(is_mean, 1.0, f.frequency_hz), np.diag(grams.slope), 1.0, is_mean, np.diag(grams.walk))
-    told = NoiseLaw((2.0**2, 0.0, 0.7**2, 1.3**2)).covariance(lines, grams)
-    np.testing.assert_allclose(np.diag(told), NoiseLaw((2.0**2, 0.0, 0.7**2, 1.3**2)).density(lines))
+    lines = Lines(np.where(is_mean, 1.0, f.frequency_hz), np.zeros(31), 1.0, is_mean, np.diag(grams.walk))
+    told = NoiseLaw((2.0**2, 0.0, 0.0, 1.3**2)).covariance(lines, grams)
+    np.testing.assert_allclose(np.diag(told), NoiseLaw((2.0**2, 0.0, 0.0, 1.3**2)).density(lines))
     whitened = np.linalg.solve(np.linalg.cholesky(told), seen.T)[1:]
     np.testing.assert_allclose(np.mean(whitened**2, axis=1), 1.0, atol=0.12)
     assert np.abs(np.corrcoef(whitened) - np.eye(len(whitened))).max() < 0.15

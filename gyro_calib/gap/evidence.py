@@ -80,7 +80,10 @@ class RecordingEvidence:
         """Test functions of a channel; the frequency of a wave is relative to its amplitude."""
         projector = self.quiet_forms if quiet else self.signal_forms
         f = projector.frequency_hz
-        slope, walk = np.diag(projector.slope_gram), np.diag(projector.walk_gram)
+        slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
+        # a wave that a table turns moves its azimuth as well: that one's noise is not told this way yet
+        standing = channel == "frequency" and self.is_wave and self.recording.command.oscillator_axis
+        walk = np.diag(projector.walk_gram) if standing else None
         scale = self.mean_square if channel == "frequency" and self.is_wave else 1.0
         # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds little noise beside that
         mean = OWN_MEAN_LINE if channel == "frequency" and self.is_wave else MEAN_LINE
@@ -90,7 +93,7 @@ class RecordingEvidence:
     def grams(self) -> Grams:
         """Of the test functions of one side at the signal's lines."""
         count = self.signal.gram.shape[0] // 2
-        return Grams(self.signal.gram[:count, :count], self.signal_forms.slope_gram, self.signal_forms.walk_gram)
+        return Grams(self.signal.gram[:count, :count], self.signal_forms.walk_gram)
 
     @cached_property
     def mean_square(self) -> float:

@@ -60,10 +60,9 @@ class Lines:
 
 
 class Grams(NamedTuple):
-    """Inner products of test functions, shape (m, m) each: theirs, of their slopes over (2 pi)^2, of a walk of density 1/f^2."""
+    """Inner products of test functions, shape (m, m) each: theirs, and what a walk of density 1/f^2 brings."""
 
     value: FloatArray
-    slope: FloatArray
     walk: FloatArray
 
 
@@ -80,11 +79,16 @@ class NoiseLaw:
 
     def covariance(self, lines: Lines, grams: Grams) -> FloatArray:
         """Covariance of the test functions, shape (m, m); what a mean has beside its white noise is its own."""
+        densities = self.density(lines)
+        if lines.walk_s2 is None:
+            sd = np.sqrt(densities)
+            return np.asarray(np.outer(sd, sd) * grams.value)
         white, flicker, pickoff, walk = self.coefficients
         apart = np.where(lines.is_mean[:, None] | lines.is_mean, np.eye(lines.is_mean.size), 1.0)
         wide = lines.frequency_hz**-0.5
-        densities = self.density(lines)
-        total = white * lines.scale * grams.value + pickoff * grams.slope
+        # a wave that turns mixes the pick-offs' slopes with its own turning: correlated as white noise is, each line of its own slope
+        steep = np.sqrt(lines.slope_hz2)
+        total = (white * lines.scale + pickoff * np.outer(steep, steep)) * grams.value
         total = total + lines.scale * apart * (flicker * np.outer(wide, wide) * grams.value + walk * grams.walk)
         total[np.diag_indices_from(total)] = densities
         return np.asarray(total)

@@ -182,11 +182,6 @@ class Projector:
     second: FloatArray
 
     @cached_property
-    def slope_gram(self) -> FloatArray:
-        """Covariance of one side, shape (m, m), that white noise of the pick-offs brings: integrals of phi' phi', over (2 pi)^2."""
-        return np.asarray(self.signals.row_s * (self.first @ self.first.T) / (2.0 * np.pi) ** 2)
-
-    @cached_property
     def walk_gram(self) -> FloatArray:
         """That a walk of density 1/f^2 about its own mean brings: integrals of Phi Phi, the sums of phi less its mean, times (2 pi)^2.
 
