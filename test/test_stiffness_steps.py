@@ -38,7 +38,7 @@ class _Released(GyroSimulator):
 
 
 def test_a_warmed_resonator_keeps_its_action() -> None:
-    """Twice the carrier passes a multiple of the rows' rate: rows of stepped stiffness would leave 2e-5 of the amplitude there."""
+    """Twice the carrier passes a multiple of the rows' rate: rows of stepped stiffness would move it by 5.5e-5 there."""
     device = load_device("hrg_hardware")
     resonator = replace(device.resonator, quality_factor=1e15, frequency_split_hz=0.0, damping_anisotropy=0.0, quality_exponent=0.0)
     tempco = resonator.frequency_tempco_per_k

@@ -7,6 +7,11 @@ what a record resolves it does not turn any more against the carrier, and a side
 5 where the resonance lies 0.06 Hz higher). So is the drive that makes a wave precess, which turns with it: of a hemisphere of 5000.303 Hz
 one of 1.7 V at 0.8 rad/s left 50 in the line of one record nearest 0.606 Hz. With n/T = 2 f the size is `u'* / (4 pi f)`, whatever the
 rate; only the phase, which depends on where a record began, is free.
+
+A stiffness that is renewed in steps while the temperature moves (a plant's, a tuning voltage's) works on where the carrier happens to be:
+of ``a'/a = (omega'/2 omega)(cos 2 phi - 1)`` the cosine does not average out where 2 f passes a multiple of the rate of steps. Of the
+practice hemisphere, which passes 10 kHz at 0.7 Hz/s, a warmed record held 83 times the noise at rest, and nine tenths of it were that, 2.3
+times as large.
 """
 
 from __future__ import annotations

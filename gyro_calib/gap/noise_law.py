@@ -42,8 +42,8 @@ class Lines:
     scale : float
         Squared amplitude that white, flicker and walk are relative to.
     is_mean : ndarray of bool, shape (m,)
-    walk_s2 : ndarray, shape (m,)
-        What a walk of density 1/f^2 comes to on each; left out: that of endless windows.
+    walk_s2 : ndarray, shape (m,), optional
+        What a walk of density 1/f^2 comes to on each but a mean [s^2]; left out: that of endless windows.
     """
 
     frequency_hz: FloatArray
@@ -60,7 +60,7 @@ class Lines:
 
 
 class Grams(NamedTuple):
-    """Inner products of test functions, shape (m, m) each: theirs, and what a walk of density 1/f^2 brings."""
+    """Inner products of test functions, shape (m, m) each: theirs, and what a walk of density 1/f^2 brings [s^2]."""
 
     value: FloatArray
     walk: FloatArray
@@ -78,18 +78,15 @@ class NoiseLaw:
         return np.asarray(lines.basis() @ np.array(self.coefficients) + self.mean * lines.scale * lines.is_mean)
 
     def covariance(self, lines: Lines, grams: Grams) -> FloatArray:
-        """Covariance of the test functions, shape (m, m); what a mean has beside its white noise is its own."""
+        """Covariance, shape (m, m): of a walk that ``lines`` know as ``grams`` has it, of all else correlated as white noise is."""
         densities = self.density(lines)
         if lines.walk_s2 is None:
             sd = np.sqrt(densities)
             return np.asarray(np.outer(sd, sd) * grams.value)
         white, flicker, pickoff, walk = self.coefficients
-        apart = np.where(lines.is_mean[:, None] | lines.is_mean, np.eye(lines.is_mean.size), 1.0)
-        wide = lines.frequency_hz**-0.5
-        # a wave that turns mixes the pick-offs' slopes with its own turning: correlated as white noise is, each line of its own slope
-        steep = np.sqrt(lines.slope_hz2)
-        total = (white * lines.scale + pickoff * np.outer(steep, steep)) * grams.value
-        total = total + lines.scale * apart * (flicker * np.outer(wide, wide) * grams.value + walk * grams.walk)
+        wide, steep = lines.frequency_hz**-0.5, np.sqrt(lines.slope_hz2)
+        alike = lines.scale * (white + flicker * np.outer(wide, wide)) + pickoff * np.outer(steep, steep)
+        total = alike * grams.value + walk * lines.scale * grams.walk
         total[np.diag_indices_from(total)] = densities
         return np.asarray(total)
 

@@ -183,7 +183,7 @@ class Projector:
 
     @cached_property
     def walk_gram(self) -> FloatArray:
-        """That a walk of density 1/f^2 about its own mean brings: integrals of Phi Phi, the sums of phi less its mean, times (2 pi)^2.
+        """Covariance [s^2], shape (m, m), of a walk of density 1/f^2 about its own mean: integrals of Phi Phi, sums of phi less its mean.
 
         The window is flat, so that what a walk comes to at the ends of its record is in every line: 1 to 3 times 1/f^2, and alike in all.
         """

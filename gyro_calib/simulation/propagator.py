@@ -63,7 +63,7 @@ def exact_propagator(k11, k12, k22, c11, c12, c21, c22, w, dt, phi, gamma):  # t
 def stiffness_step(z, p, w):  # type: ignore[no-untyped-def]
     """Quarter of a relative change of the stiffness, as a symmetric matrix: d11, d12, d22; ``z`` (MOTION,) keeps the new stiffness.
 
-    A stiffness that follows a temperature does so smoothly: ``x' <- (1 - d) x``, ``v <- (1 + d) v`` keeps phase and action as a slow
+    A stiffness that follows a temperature does so smoothly: ``x <- (1 - d) x``, ``v <- (1 + d) v`` keeps phase and action as a slow
     change does. Left as it is, a step works on where the carrier happens to be: ``a'/a = (w'/2w)(cos 2 phi - 1)``, and where twice the
     carrier passes a multiple of the rate of steps, cos 2 phi stands still (5000 Hz at 0.35 Hz/s: 4e-5 of amplitude per second).
     """
