@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gyro_calib.gap.columns import Column
+from gyro_calib.gap.column import Column
 from gyro_calib.gap.diagnose import _not_of_its_form, _probabilities
 from gyro_calib.gap.heldout import Shrinkage, _closed, _Unseen, halves, halves_disagree, shrinkage, shrinkage_of_halves
 from gyro_calib.gap.model import CampaignModel

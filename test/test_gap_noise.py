@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from gyro_calib.estimation.projection import test_functions as functions_on
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.columns import Column, form_columns
+from gyro_calib.gap.column import Column
+from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.evidence import MEAN_LINE, STEADY, WARMING
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import quiet_target_of, target_of

@@ -11,7 +11,7 @@ import pytest
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
-from gyro_calib.gap.columns import Column
+from gyro_calib.gap.column import Column
 from gyro_calib.gap.floors import beat_their_floors, louder_floors
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.relinearise import relinearised

@@ -10,7 +10,7 @@ import pytest
 from added_effects import with_effects
 from table_samples import looked_at, on_a_table
 
-from gyro_calib.gap.columns import Column
+from gyro_calib.gap.column import Column
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyro_calib.gap.columns import Column
+from gyro_calib.gap.column import Column
 from gyro_calib.gap.screen import Candidate, Screener
 from gyro_calib.gap.system import Whitener, factored, solve, with_priors
 

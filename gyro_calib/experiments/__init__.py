@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from ..later import loaded_later
 from .bench_plans import BENCH_PLANS, factory_plan, pickoff_phase_plan
+from .by_name import plan_by_name
 from .gap_plans import GAP_ABILITIES, GAP_PLANS, gap_ftr_plan, gap_plan, gap_whole_angle_plan
 from .instrument import Instrument, compensation_in_force
 from .plan import Limits, Plan, Step
@@ -13,7 +14,6 @@ from .plans import (
     cubic_plan,
     feedthrough_plan,
     mission_mode,
-    plan_by_name,
     self_calibration_plan,
     sideband_plan,
     static_plan,

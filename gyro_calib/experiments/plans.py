@@ -28,7 +28,6 @@ __all__ = [
     "feedthrough_plan",
     "mission_mode",
     "open_steps",
-    "plan_by_name",
     "self_calibration_plan",
     "sideband_plan",
     "static_plan",
@@ -72,36 +71,6 @@ CUBIC_AMPLITUDES = (0.6, 1.0, 1.4)
 SWAP_SETTLE_S, SETTLE_S, OPEN_SETTLE_S = 3.0, 1.0, 2.0
 #: amplitude to which a wave that would ring on is brought down before its loops are opened, over the mission's
 HUSH_SHARE = 0.01
-
-
-def plan_by_name(name: str, factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None, **options: Any) -> Plan:
-    """Build a plan.
-
-    Parameters
-    ----------
-    name : str
-        One of :data:`PLANS`, of the bench's (:data:`.bench_plans.BENCH_PLANS`: a rate table, converter samples), or of the campaigns
-        from which a gap is diagnosed (:data:`.gap_plans.GAP_PLANS`).
-    factory : mapping
-        Factory data of the unit.
-    quality : {"quick", "standard", "fine"}
-    limits : Limits, optional
-        Abort conditions.
-    **options
-        Of the campaigns for a gap: ``seed``, ``abilities``, ``temperature_degc``.
-
-    Raises
-    ------
-    DataError
-        Unknown plan or quality, or factory data that lack what the plan needs.
-    """
-    from .bench_plans import BENCH_PLANS  # they are built on the ones here
-    from .gap_plans import GAP_PLANS
-
-    plans = PLANS | BENCH_PLANS | GAP_PLANS
-    if name not in plans:
-        raise DataError(f"Plan must be one of {', '.join(plans)}, but got {name!r}.")
-    return plans[name](factory, quality=quality, limits=limits, **options)
 
 
 def sideband_plan(factory: Mapping[str, Any], *, quality: str = "standard", limits: Limits | None = None) -> Plan:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 
 from ..effects import EFFECTS
-from .columns import Column, form_columns, forms_columns
+from .column import Column
+from .columns import form_columns, forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .parts import SKEW, UNEQUAL, Linear, Setting

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .column import Column
 from .evidence import CampaignEvidence, RecordingEvidence
-from .followed import with_what_feeds
+from .feedthrough import with_what_feeds
 from .parts import SKEW, Form, Linear, Part, Setting
 from .signals import Projector, Signals
 
-__all__ = ["QUIET", "SIGNAL", "Column", "Place", "form_columns", "forms_columns", "part_columns"]
+__all__ = ["QUIET", "SIGNAL", "Place", "form_columns", "forms_columns", "part_columns"]
 
 ComplexArray = NDArray[np.complex128]
 #: place of a form among several, and a parameter
@@ -32,26 +33,6 @@ class Place:
 
 
 SIGNAL, QUIET = Place(False), Place(True)
-
-
-@dataclass(frozen=True)
-class Column:
-    """One real unknown.
-
-    Parameters
-    ----------
-    name : str
-        Parameter.
-    signal, quiet : tuple of ndarray, complex
-        By recording, turned by the wave's phase: what one unit adds to the right of the slow flow at its lines.
-    prior_sd : float
-        How far the unknown is believed to lie from zero; infinite when nothing is known.
-    """
-
-    name: str
-    signal: tuple[ComplexArray, ...]
-    quiet: tuple[ComplexArray, ...]
-    prior_sd: float = float("inf")
 
 
 def form_columns(evidence: CampaignEvidence, form: Form, linear: Linear, setting: Setting, *, unlike: bool = False) -> list[Column]:

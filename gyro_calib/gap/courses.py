@@ -16,7 +16,8 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from .anonymous import Anonymous
-from .columns import Column, part_columns
+from .column import Column
+from .columns import part_columns
 from .evidence import CampaignEvidence
 from .parts import Linear, Part, read_at_once
 from .screen import Candidate, Screened, Screener, worth

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import Column
+from .column import Column
 from .forms import FORMS
 from .linear_device import linear_of
 from .model import CampaignModel

@@ -11,19 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .evidence import CampaignEvidence, RecordingEvidence
-from .parts import Linear
-from .signals import Projector
+from .system import Solution, Whitener
 
-if TYPE_CHECKING:
-    from .system import Solution, Whitener
-
-__all__ = ["Followed", "followed_by", "followed_of", "with_what_feeds"]
+__all__ = ["Followed", "followed_by", "followed_of", "resonance_courses"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -57,12 +52,12 @@ class Followed:
 
 def followed_by(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
     """Distance of the resonance of which these values say all that the first fits know [rad/s], shape (n,)."""
-    return np.asarray(sum(values.get(name, 0.0) * course for name, course in _courses(r).items()))
+    return np.asarray(sum(values.get(name, 0.0) * course for name, course in resonance_courses(r).items()))
 
 
 def followed_of(evidence: CampaignEvidence, solution: Solution, whitener: Whitener, design: FloatArray) -> Followed:
     """Of a fit's solution, its weights and its design (equations, unknowns)."""
-    known = {name for r in evidence for name in _courses(r)}
+    known = {name for r in evidence for name in resonance_courses(r)}
     places = [k for k, c in enumerate(solution.columns) if c.name in known]
     values = solution.by_name()
     return Followed(
@@ -73,29 +68,7 @@ def followed_of(evidence: CampaignEvidence, solution: Solution, whitener: Whiten
     )
 
 
-def with_what_feeds(
-    evidence: CampaignEvidence, linear: Linear, signal: Sequence[ComplexArray], quiet: Sequence[ComplexArray]
-) -> tuple[tuple[ComplexArray, ...], tuple[ComplexArray, ...]]:
-    """An effect's column with what feeds through where it moved the resonance; as it is where nothing is known of that.
-
-    Parameters
-    ----------
-    evidence : CampaignEvidence
-    linear : Linear
-    signal, quiet : sequence of ndarray, complex
-        By recording, turned by the wave's phase, with the force on the motion.
-    """
-    if linear.followed is None:
-        return tuple(signal), tuple(quiet)
-    moved = linear.followed.moved_by(signal)
-    sizes = [np.array([moved.get(name, 0.0) for name in _courses(r)]) for r in evidence]
-    return (
-        tuple(x + _fed(r, r.signal_forms, linear) @ size for r, x, size in zip(evidence, signal, sizes, strict=True)),
-        tuple(x + _fed(r, r.quiet_forms, linear) @ size for r, x, size in zip(evidence, quiet, sizes, strict=True)),
-    )
-
-
-def _courses(r: RecordingEvidence) -> dict[str, FloatArray]:
+def resonance_courses(r: RecordingEvidence) -> dict[str, FloatArray]:
     """Courses in time that a distance of the resonance has in a recording, by the fit's unknown, shape (n,) each."""
     s = r.signals
     return {
@@ -104,13 +77,3 @@ def _courses(r: RecordingEvidence) -> dict[str, FloatArray]:
         f"shift_{r.index}": np.ones_like(s.time_s),
         f"slide_{r.index}": np.linspace(-1.0, 1.0, len(s.time_s)),
     }
-
-
-def _fed(r: RecordingEvidence, projector: Projector, linear: Linear) -> ComplexArray:
-    """Projections of ``i c E u``, c each course, turned by the wave's phase, shape (equations, courses)."""
-
-    def made() -> ComplexArray:
-        fed = 1j * (r.signals.drive @ linear.E.T)
-        return np.asarray(r.turn * projector.plain([course[:, None] * fed for course in _courses(r).values()]))
-
-    return r.signals.once(("fed", projector is r.quiet_forms), linear, made)

@@ -21,7 +21,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import Column, part_columns
+from .column import Column
+from .columns import part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import Kind, Linear, Part
 from .signals import Signals

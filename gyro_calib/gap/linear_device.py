@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..estimation.wave_projection import WaveProjected
-from .columns import QUIET, SIGNAL, Column
+from .column import Column
+from .columns import QUIET, SIGNAL
 from .evidence import CampaignEvidence, RecordingEvidence
 from .followed import Followed, followed_by
 from .parts import Linear

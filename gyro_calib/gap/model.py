@@ -15,7 +15,7 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .anonymous import Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
-from .columns import Column
+from .column import Column
 from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
 from .followed import followed_of

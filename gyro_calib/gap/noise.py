@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_turned
-from .columns import Column
+from .column import Column
 from .evidence import CHANNELS, STEADY, WARMING, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
 from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import QUIET, SIGNAL, Column, form_columns, part_columns
+from .column import Column
+from .columns import QUIET, SIGNAL, form_columns, part_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .images import image_columns

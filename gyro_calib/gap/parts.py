@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .followed import Followed
 from .signals import Signals
-
-if TYPE_CHECKING:
-    from .followed import Followed
 
 __all__ = ["SKEW", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
 

@@ -17,7 +17,8 @@ from scipy.ndimage import find_objects, label
 
 from ..recording.applied_rate import is_straight, is_turned
 from ..recording.recording import Recording
-from .columns import QUIET, SIGNAL, Column
+from .column import Column
+from .columns import QUIET, SIGNAL
 from .evidence import CampaignEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
 from .parts import turned

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..effects import EFFECTS
-from .columns import Column
+from .column import Column
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .parts import Linear

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import Column
+from .column import Column
 from .parts import Setting
 from .system import Whitener, factored, with_priors
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from .columns import Column
+from .column import Column
 from .system import Solution
 
 __all__ = ["Family", "gained_by_resizing", "measured_shares", "with_shares"]

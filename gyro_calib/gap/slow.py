@@ -16,7 +16,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import Column, part_columns
+from .column import Column
+from .columns import part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .parts import Linear, Part, turned
 

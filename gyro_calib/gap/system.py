@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from .columns import Column
+from .column import Column
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .noise_law import NoiseLaw
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from .columns import Column
+from .column import Column
 from .evidence import CampaignEvidence, RecordingEvidence
 from .linear_device import span_k
 from .nuisance import BOTH_PICKOFFS, GAIN_PER_K, NOTICED_K, following_columns

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ..gap.columns import Column, form_columns
+from ..gap.column import Column
+from ..gap.columns import form_columns
 from ..gap.forms import FORMS
 from ..gap.linear_device import target_of
 from ..gap.model import CampaignModel
