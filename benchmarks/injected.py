@@ -21,15 +21,15 @@ from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.preflight import check_campaign, usable
 from gyro_calib.gap.select import Selection, select_effects
 from gyro_calib.recording.load import load_campaign
+from gyro_calib.recording.recording import Campaign
 from gyro_calib.trial.injected import with_effect
 from gyro_calib.trial.labels import reported_name, trial_effects
 from gyro_calib.trial.sizing import Sized, imitators, size_effect
 from gyro_calib.trial.trial import LIKE
 
 
-def looked_at(path: Path) -> CampaignModel:
+def looked_at(campaign: Campaign) -> CampaignModel:
     """A campaign, ready to be screened."""
-    campaign = load_campaign(path)
     check_campaign(campaign)
     f = campaign.factory
     return look_at(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", default=[])
     options = parser.parse_args()
-    model = looked_at(options.file)
+    model = looked_at(load_campaign(options.file))
     healthy, unknown = judged(model)
     print(f"{options.file.name} as it is: {'unknown' if unknown else _said(healthy)}", flush=True)
     whole_angle = any(r.recording.command.mode == "whole_angle" for r in model.evidence)

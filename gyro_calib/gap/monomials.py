@@ -65,6 +65,11 @@ def _shaped(text: str, depends: str, *factors: Factor) -> dict[tuple[str, str], 
     }
 
 
+def _split(factor: Factor) -> list[Monomial]:
+    """A factor times what parts the two modes, along the axes and between them."""
+    return [lambda s, x: factor(s) * x * np.array([1.0, -1.0]), lambda s, x: factor(s) * x[:, ::-1]]
+
+
 def _in_step(x: ComplexArray) -> FloatArray:
     """Mean of the product of both axes over a cycle, twice."""
     return np.asarray((x[:, 0] * x[:, 1].conj()).real)
@@ -106,12 +111,16 @@ APART: dict[str, Factor] = {
 }
 #: monomials of a signal x by what they depend on; those of one entry are tried together
 MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
+    ("|x|^1/2 x", "amplitude"): [lambda s, x: size_of(x) ** 0.5 * x],
     ("|x| x", "amplitude"): [lambda s, x: size_of(x) * x],
     ("|x|^2 x", "amplitude"): [lambda s, x: size_of(x) ** 2 * x, lambda s, x: conjugate_product(x)],
     ("|x_j|^2 x_j", "amplitude"): _on_each(lambda s, x: np.abs(x) ** 2 * x),
     ("|x_k|^2 x_k on the other axis", "amplitude"): _on_each(lambda s, x: (np.abs(x) ** 2 * x)[:, ::-1]),
     ("|x_k|^2 x_j, k the other axis", "amplitude"): _on_each(lambda s, x: np.abs(x[:, ::-1]) ** 2 * x),
+    ("|x| x, as a split", "amplitude"): _split(lambda s: size_of(s.pick)),
+    ("|x|^2 x, as a split", "amplitude"): _split(lambda s: size_of(s.pick) ** 2),
     ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: size_of(s.pick) ** 2),
+    ("|x|^3 x", "amplitude"): [lambda s, x: size_of(x) ** 3 * x],
     ("|x|^4 x", "amplitude"): [lambda s, x: size_of(x) ** 4 * x],
     ("x/|x|", "amplitude"): [lambda s, x: x / (size_of(x) + 1e-9)],
     ("x_j/|x_j|", "amplitude"): _on_each(lambda s, x: x / _of_axes(x)),

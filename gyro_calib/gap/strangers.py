@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -174,9 +175,13 @@ def worth_of(found: Screened, directions: int | None = None) -> float:
 
 
 def _set_worth(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
-    """Worth of a set, one effect after the other."""
-    found = [model.screener_with(chosen[:k]).screen(candidate) for k, candidate in enumerate(chosen)]
-    return sum(worth_of(f, own_directions(f)) for f in found if f is not None)
+    """Worth of a set: what it leaves, its sizes' priors counted, at the price of all its directions.
+
+    One effect after the other would say more than all of them take: what a prior keeps from one is there for the next.
+    """
+    found = [model.screener.screen(candidate) for candidate in chosen]
+    directions = sum(own_directions(f) for f in found if f is not None)
+    return worth(model.screener.chi2 - model.screener_with(chosen).chi2, directions, math.prod(c.choices for c in chosen))
 
 
 def own_directions(found: Screened) -> int:
