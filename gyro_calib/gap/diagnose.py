@@ -16,8 +16,10 @@ from ..recording.recording import Campaign
 from ..units import DEG_H, PPM
 from .candidates import registry_name
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
+from .flow_left import flows_left
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
+from .jumps import find_jumps
 from .linear_device import linear_of
 from .loud import loudest
 from .model import CampaignModel, look_at
@@ -29,6 +31,7 @@ from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
+from .swings import find_swing
 from .system import Solution
 from .told import told_sizes
 
@@ -91,6 +94,7 @@ def diagnose(
         or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
         or (None if beside.effects else _more_than_they_say(model, selection, shrunk))
     )
+    unknown = unknown or (None if beside.effects else _within_recordings(model, bool(effects)))
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
@@ -241,6 +245,18 @@ def _more_than_they_say(model: CampaignModel, selection: Selection, shrunk: Shri
     if not selection.effects or not shrunk.leaves_more:
         return None
     return _unknown(unnamed_rest(model, [e.candidate for e in selection.effects], selection.effects[0].name))
+
+
+def _within_recordings(model: CampaignModel, with_effects: bool) -> Unknown | None:
+    """What swings or jumps within recordings, which no line tells.
+
+    Effects may do so where a side band or a turning wave takes them along, and settle after a command; at rest they do not swing.
+    """
+    flows = flows_left(model.evidence, model.linear)
+    swing = find_swing([flow for flow in flows if flow.is_still] if with_effects else flows)
+    jumps = None if with_effects else find_jumps(flows)
+    found = [moves.unknown() for moves in (swing, jumps) if moves is not None]
+    return max(found, key=lambda unknown: unknown.gain, default=None)
 
 
 def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:

@@ -18,7 +18,7 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .signals import WARMING_K, smooth_temperature
 
-__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "near_line", "pick_spectra", "plain_records", "steep_window"]
+__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "is_plain", "near_line", "pick_spectra", "plain_records", "steep_window"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,10 +84,10 @@ class PickSpectrum:
 
 def plain_records(recordings: Sequence[Recording]) -> list[Recording]:
     """Records whose loops hold a wave that nothing but a side band moves."""
-    return [r for r in recordings if _is_plain(r)]
+    return [r for r in recordings if is_plain(r)]
 
 
-def _is_plain(r: Recording) -> bool:
+def is_plain(r: Recording) -> bool:
     held = r.command.mode.startswith("ftr") or r.command.mode == "whole_angle"
     steady = not is_turned(r) and float(np.ptp(smooth_temperature(r))) < WARMING_K
     return held and steady and r.duration_s >= _SHORTEST_S and r.command.excitation.kind in ("none", "amplitude_modulation")

@@ -1,0 +1,97 @@
+"""What the linear device leaves of the slow flow, row by row and relative to the wave: where effects show that keep to no line.
+
+With the motion ``m = V - E u`` every row leaves ``m' + i (omega - omega0) m - A m - G u``, in the frame of the wave and over its amplitude:
+along it how fast the amplitude and the phase go otherwise than they should, across it precession and quadrature. What the loops do about
+it stands in the drives, so an unmodelled change shows as what it is and not as what the loops make of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
+from .parts import Linear
+from .spectra import is_plain
+
+__all__ = ["FlowLeft", "flows_left"]
+
+FloatArray = NDArray[np.float64]
+#: turns of psi in a recording below which its wave stands still
+_STILL_TURNS = 0.01
+
+
+@dataclass(frozen=True)
+class FlowLeft:
+    """Of one recording.
+
+    Parameters
+    ----------
+    label : str
+    kind : tuple
+        Recordings of one kind share their noise.
+    row_s : float
+        Time of a row [s].
+    excited_hz : float
+        Side band, 0 without.
+    turning_hz : float
+        Turns of psi a second.
+    rate : mapping of str to ndarray, shape (n,)
+        Relative rate of change that nothing explains [1/s], by channel, less its mean and slope.
+    """
+
+    label: str
+    kind: tuple[object, ...]
+    row_s: float
+    excited_hz: float
+    turning_hz: float
+    rate: dict[str, FloatArray]
+
+    @property
+    def is_still(self) -> bool:
+        """Whether no side band and no turn of the wave moves anything."""
+        return self.excited_hz == 0.0 and self.turning_hz * self.duration_s < _STILL_TURNS
+
+    @property
+    def duration_s(self) -> float:
+        """Rows times their time."""
+        return self.row_s * len(self.rate[CHANNELS[0]])
+
+
+def flows_left(evidence: CampaignEvidence, linear: Linear) -> list[FlowLeft]:
+    """Of every plain recording: a held wave that nothing but a side band or its own precession moves."""
+    return [_flow_left(r, evidence.omega0_rad_s, linear) for r in _plain(evidence)]
+
+
+def _plain(evidence: CampaignEvidence) -> Iterable[RecordingEvidence]:
+    return (r for r in evidence if is_plain(r.recording))
+
+
+def _flow_left(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> FlowLeft:
+    s, command = r.signals, r.recording.command
+    motion = s.pick - s.drive @ linear.E.T
+    away = (s.omega_rad_s - omega0_rad_s)[:, None]
+    left = np.gradient(motion, s.row_s, axis=0) + 1j * away * motion - linear.acting(s, motion) - s.drive @ linear.G.T
+    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(motion**2, axis=1))))
+    turned, left = motion * phase[:, None], left * phase[:, None]
+    azimuth = np.unwrap(np.arctan2(turned[:, 1].real, turned[:, 0].real))
+    cos, sin = np.cos(azimuth), np.sin(azimuth)
+    size = np.hypot(turned[:, 0].real, turned[:, 1].real)
+    along = (cos * left[:, 0] + sin * left[:, 1]) / size
+    across = (cos * left[:, 1] - sin * left[:, 0]) / size
+    return FlowLeft(
+        r.recording.label,
+        (command.mode, round(command.setpoints.amplitude_v, 6), command.setpoints.virtual_precession_v != 0.0),
+        s.row_s,
+        command.excitation.frequency_hz if command.excitation.kind != "none" else 0.0,
+        abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * s.row_s * len(azimuth)),
+        {name: _straightened(x) for name, x in zip(CHANNELS, (along.real, along.imag, across.real, across.imag), strict=True)},
+    )
+
+
+def _straightened(x: FloatArray) -> FloatArray:
+    place = np.linspace(-1.0, 1.0, len(x))
+    return np.asarray(x - x.mean() - place * float(place @ x) / float(place @ place))

@@ -1,0 +1,141 @@
+"""What swings or jumps within recordings: found in what the linear device leaves of each row, and nowhere in noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from table_samples import looked_at, on_a_table
+
+from gyro_calib.gap.diagnose import diagnose
+from gyro_calib.gap.evidence import CHANNELS, CampaignEvidence
+from gyro_calib.gap.flow_left import FlowLeft, flows_left
+from gyro_calib.gap.jumps import find_jumps
+from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.swings import find_swing
+from gyro_calib.recording.recording import Campaign, Recording
+
+ROW_S, ROWS = 0.01, 1500
+#: white noise of a pick-off over its volts, and of forces [1/s]
+READ, FORCED = 1e-5, 2e-5
+
+
+def noise(rng: np.random.Generator) -> NDArray[np.float64]:
+    """A pick-off's through the derivative, forces, and a walk."""
+    read = np.gradient(READ * rng.standard_normal(ROWS), ROW_S)
+    return read + FORCED * rng.standard_normal(ROWS) + 1e-7 * np.cumsum(rng.standard_normal(ROWS))
+
+
+def flows(rng: np.random.Generator, count: int = 8, excited_hz: float = 0.0) -> list[FlowLeft]:
+    """Recordings at rest of one kind."""
+    return [FlowLeft(f"static_{k}", ("ftr_x", 1.0, False), ROW_S, excited_hz, 0.0, {c: noise(rng) for c in CHANNELS}) for k in range(count)]
+
+
+def with_more(flow: FlowLeft, channel: str, more: NDArray[np.float64]) -> FlowLeft:
+    return replace(flow, rate={**flow.rate, channel: flow.rate[channel] + more})
+
+
+def step(at_s: float) -> NDArray[np.float64]:
+    return np.where(ROW_S * np.arange(ROWS) > at_s, 1.0, 0.0)
+
+
+def test_noise_alone_neither_swings_nor_jumps() -> None:
+    for seed in range(30):
+        of_seed = flows(np.random.default_rng(seed))
+        assert find_swing(of_seed) is None
+        assert find_jumps(of_seed) is None
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_swing_stands_at_one_frequency_in_several_recordings(channel: str) -> None:
+    rng = np.random.default_rng(1)
+    t = ROW_S * np.arange(ROWS)
+    swinging = [with_more(f, channel, 1e-4 * np.sin(2 * np.pi * 0.7 * t + rng.uniform(0, 6.28))) for f in flows(rng)]
+    found = find_swing(swinging)
+    assert found is not None
+    assert found.channel == channel
+    assert found.frequency_hz == pytest.approx(0.7, abs=1.0 / (ROW_S * ROWS))
+    assert f"to and fro every {1.0 / found.frequency_hz:.3g} s" in found.unknown().form
+
+
+def test_a_swing_in_one_recording_is_a_disturbance() -> None:
+    first, *rest = flows(np.random.default_rng(2))
+    loud = with_more(first, "amplitude", 1e-3 * np.sin(2 * np.pi * 0.7 * ROW_S * np.arange(ROWS)))
+    assert find_swing([loud, *rest]) is None
+
+
+def test_harmonics_of_a_side_band_are_no_swing() -> None:
+    wave = 1e-3 * np.sin(2 * np.pi * 1.0 * ROW_S * np.arange(ROWS)) ** 3
+    quiet = flows(np.random.default_rng(3), excited_hz=1.0)
+    assert find_swing([with_more(f, "amplitude", wave) for f in quiet]) is None
+    assert find_swing([with_more(replace(f, excited_hz=0.0), "amplitude", wave) for f in quiet]) is not None
+
+
+def test_a_force_that_jumps_once_is_a_finding() -> None:
+    first, *rest = flows(np.random.default_rng(4))
+    found = find_jumps([with_more(first, "precession", 3e-4 * step(8.0)), *rest])
+    assert found is not None
+    assert (found.channel, found.kicks, found.records) == ("precession", False, ("static_0",))
+
+
+def test_a_knock_is_none_and_a_pick_off_that_hops_is() -> None:
+    """A kick in one row is what a gain that jumps leaves, and what a knock on the bench does: it counts when it comes again."""
+    kick = np.zeros(ROWS)
+    kick[700] = 3e-4 / ROW_S
+    quiet = flows(np.random.default_rng(5))
+    assert find_jumps([with_more(quiet[0], "amplitude", kick), *quiet[1:]]) is None
+    found = find_jumps([*(with_more(f, "amplitude", np.roll(kick, 90 * k)) for k, f in enumerate(quiet[:4])), *quiet[4:]])
+    assert found is not None
+    assert found.kicks
+    assert found.count >= 4
+    assert "static_3" in found.records
+
+
+# -- on a simulated ring -------------------------------------------------------------------------------------------------------------------
+
+
+def driven_more(recording: Recording, more: NDArray[np.float64]) -> Recording:
+    """A drive that makes so much more than is logged: what acted was the log."""
+    rows = recording.data.copy()
+    rows[:, 6:10] /= 1.0 + more[:, None]
+    return replace(recording, data=rows)
+
+
+def spoilt(campaign: Campaign, frequency_hz: float, size: float) -> Campaign:
+    of_drives = (driven_more(r, size * np.sin(2 * np.pi * frequency_hz * r.t)) if r.command.mode != "loops_off" else r for r in campaign)
+    return replace(campaign, recordings=tuple(of_drives))
+
+
+def test_what_is_left_of_a_wave_is_the_force_that_is_not_in_the_log() -> None:
+    """A held amplitude loses as much as its drive brings: a share more of the drive is that share of 1/tau."""
+    campaign, share = on_a_table(), 1e-3
+    model = looked_at(campaign)
+    loss = -np.real(np.trace(model.linear.A)) / 2.0
+    later = [driven_more(r, share * (np.arange(len(r)) > len(r) // 2)) for r in usable(campaign)]
+    healthy, spoilt_flows = (
+        flows_left(evidence, model.linear) for evidence in (model.evidence, CampaignEvidence.of(later, model.evidence.decay_rate))
+    )
+    assert len(healthy) > 3
+    compared = 0
+    for before, after in zip(healthy, spoilt_flows, strict=True):
+        if before.excited_hz:
+            continue
+        compared += 1
+        gained = after.rate["amplitude"] - before.rate["amplitude"]
+        place = np.linspace(-1.0, 1.0, len(gained))
+        ideal = np.where(place > 0.0, 1.0, -1.0) - 1.5 * place
+        assert float(gained @ ideal / (ideal @ ideal)) == pytest.approx(0.5 * share * loss, rel=0.05)
+    assert compared > 3
+
+
+def test_a_supply_that_swings_within_recordings_is_unknown() -> None:
+    campaign = on_a_table()
+    assert diagnose(campaign).verdict == "none"
+    found = diagnose(spoilt(campaign, 1.3, 2e-3))
+    assert found.verdict == "unknown"
+    assert found.unknown is not None
+    assert "to and fro every 0.7" in found.unknown.form
+    assert math.isfinite(found.unknown.gain)
