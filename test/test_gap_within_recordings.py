@@ -19,6 +19,8 @@ from gyro_calib.gap.swings import find_swing
 from gyro_calib.recording.recording import Campaign, Recording
 
 ROW_S, ROWS = 0.01, 1500
+#: no harmonic of it is folded near it by a converter
+CARRIER_HZ = 15030.0
 #: white noise of a pick-off over its volts, and of forces [1/s]
 READ, FORCED = 1e-5, 2e-5
 
@@ -31,7 +33,10 @@ def noise(rng: np.random.Generator) -> NDArray[np.float64]:
 
 def flows(rng: np.random.Generator, count: int = 8, excited_hz: float = 0.0) -> list[FlowLeft]:
     """Recordings at rest of one kind."""
-    return [FlowLeft(f"static_{k}", ("ftr_x", 1.0, False), ROW_S, excited_hz, 0.0, {c: noise(rng) for c in CHANNELS}) for k in range(count)]
+    return [
+        FlowLeft(f"static_{k}", ("ftr_x", 1.0, False), ROW_S, CARRIER_HZ, excited_hz, 0.0, {c: noise(rng) for c in CHANNELS})
+        for k in range(count)
+    ]
 
 
 def with_more(flow: FlowLeft, channel: str, more: NDArray[np.float64]) -> FlowLeft:
@@ -65,6 +70,14 @@ def test_a_swing_in_one_recording_is_a_disturbance() -> None:
     first, *rest = flows(np.random.default_rng(2))
     loud = with_more(first, "amplitude", 1e-3 * np.sin(2 * np.pi * 0.7 * ROW_S * np.arange(ROWS)))
     assert find_swing([loud, *rest]) is None
+
+
+def test_an_image_of_the_carrier_is_no_swing() -> None:
+    """At 15 000.35 Hz a converter of 10 kHz has the carrier's double 0.7 Hz from it."""
+    rng = np.random.default_rng(1)
+    t = ROW_S * np.arange(ROWS)
+    imaged = [with_more(replace(f, carrier_hz=15000.35), "amplitude", 1e-4 * np.sin(2 * np.pi * 0.7 * t)) for f in flows(rng)]
+    assert find_swing(imaged) is None
 
 
 def test_harmonics_of_a_side_band_are_no_swing() -> None:

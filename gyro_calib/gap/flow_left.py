@@ -35,6 +35,8 @@ class FlowLeft:
         Recordings of one kind share their noise.
     row_s : float
         Time of a row [s].
+    carrier_hz : float
+        Mean frequency of the reference.
     excited_hz : float
         Side band, 0 without.
     turning_hz : float
@@ -46,6 +48,7 @@ class FlowLeft:
     label: str
     kind: tuple[object, ...]
     row_s: float
+    carrier_hz: float
     excited_hz: float
     turning_hz: float
     rate: dict[str, FloatArray]
@@ -86,6 +89,7 @@ def _flow_left(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> Flo
         r.recording.label,
         (command.mode, round(command.setpoints.amplitude_v, 6), command.setpoints.virtual_precession_v != 0.0),
         s.row_s,
+        float(r.recording.ref_omega_rad_s.mean()) / (2.0 * np.pi),
         command.excitation.frequency_hz if command.excitation.kind != "none" else 0.0,
         abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * s.row_s * len(azimuth)),
         {name: _straightened(x) for name, x in zip(CHANNELS, (along.real, along.imag, across.real, across.imag), strict=True)},

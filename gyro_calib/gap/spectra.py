@@ -18,7 +18,7 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .signals import WARMING_K, smooth_temperature
 
-__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "is_plain", "near_line", "pick_spectra", "plain_records", "steep_window"]
+__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "is_image", "is_plain", "near_line", "pick_spectra", "plain_records", "steep_window"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -69,17 +69,18 @@ class PickSpectrum:
         places = np.round(away_hz / self.bin_hz).astype(int) + self.frequency_hz.size // 2
         return np.asarray(self.ratio[np.clip(places, 0, len(self.ratio) - 1)])
 
-    def is_image(self, away_hz: FloatArray) -> NDArray[np.bool_]:
-        """Whether each line is a harmonic of this record's carrier folded at a converter's rate, or stands on the skirt of one."""
-        near = max(_SAME_HZ, _SKIRT_BINS * self.bin_hz)
-        harmonics = [k for k in range(-_IMAGED, _IMAGED + 1) if k != 1]
-        rates = self.carrier_hz + away_hz[:, None] - self.carrier_hz * np.array(harmonics)
-        return np.asarray(np.any(np.abs(rates - RATES_HZ * np.round(rates / RATES_HZ)) < near, axis=1))
-
     def hears(self, away_hz: FloatArray) -> NDArray[np.bool_]:
         """Whether a line there would be seen: beyond what belongs to the signal, within the rows' rate, and no image."""
         within = (np.abs(away_hz) > self.clear_hz) & (np.abs(away_hz) < _PASSED * self.recording.sample_rate_hz)
-        return np.asarray(within & ~self.is_image(away_hz))
+        return np.asarray(within & ~is_image(away_hz, self.carrier_hz, self.bin_hz))
+
+
+def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float) -> NDArray[np.bool_]:
+    """Whether lines at these distances are a harmonic of the carrier folded at a converter's rate, or stand on the skirt of one."""
+    near = max(_SAME_HZ, _SKIRT_BINS * bin_hz)
+    harmonics = [k for k in range(-_IMAGED, _IMAGED + 1) if k != 1]
+    rates = carrier_hz + away_hz[:, None] - carrier_hz * np.array(harmonics)
+    return np.asarray(np.any(np.abs(rates - RATES_HZ * np.round(rates / RATES_HZ)) < near, axis=1))
 
 
 def plain_records(recordings: Sequence[Recording]) -> list[Recording]:

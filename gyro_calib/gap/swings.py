@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from .diagnosis import Unknown
 from .evidence import CHANNELS
 from .flow_left import FlowLeft
-from .noise_law import Lines, fit_law
+from .noise_law import fit_law
+from .spectra import is_image
 
 __all__ = ["Swing", "find_swing"]
 
@@ -121,8 +122,7 @@ def _spectra(flows: Sequence[FlowLeft], channel: str) -> list[_Spectrum]:
         held = [_hears(flow, f) for f, flow in zip(frequencies, members, strict=True)]
         if sum(int(h.sum()) for h in held) < _FEWEST_BINS:
             continue
-        of_all = Lines(np.concatenate([f[h] for f, h in zip(frequencies, held, strict=True)]), np.zeros(0), 1.0, np.zeros(0, bool))
-        basis = _basis(of_all.frequency_hz)
+        basis = _basis(np.concatenate([f[h] for f, h in zip(frequencies, held, strict=True)]))
         law = np.array(fit_law(basis, np.concatenate([p[h] for p, h in zip(powers, held, strict=True)])).coefficients)
         for p, f, h, flow in zip(powers, frequencies, held, members, strict=True):
             found.append(_Spectrum(1.0 / flow.duration_s, np.where(h, p / (_basis(np.maximum(f, 1e-9)) @ law), np.nan)))
@@ -140,9 +140,10 @@ def _power(x: FloatArray, row_s: float) -> FloatArray:
 
 
 def _hears(flow: FlowLeft, f: FloatArray) -> NDArray[np.bool_]:
-    """Bins that belong neither to the mean, nor to a turning wave, nor to a side band and its harmonics."""
+    """Bins that belong neither to the mean, nor to a turning wave, nor to a side band and its harmonics, and where no image stands."""
     bin_hz = 1.0 / flow.duration_s
     heard = (f > max(_LEAST_BINS * bin_hz, _HARMONICS * flow.turning_hz)) & (f < _HIGHEST_HZ)
     if flow.excited_hz > 0.0:
         heard &= np.abs(f - flow.excited_hz * np.round(f / flow.excited_hz)) > _SKIRT_BINS * bin_hz
-    return np.asarray(heard)
+    images = is_image(f, flow.carrier_hz, bin_hz) | is_image(-f, flow.carrier_hz, bin_hz)
+    return np.asarray(heard & ~images)
