@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
+from .linear_device import TEMPERATURE_SPAN_K
 from .parts import Linear
 from .spectra import is_plain
 
@@ -70,7 +71,9 @@ def flows_left(evidence: CampaignEvidence, linear: Linear) -> list[FlowLeft]:
 
 
 def _plain(evidence: CampaignEvidence) -> Iterable[RecordingEvidence]:
-    return (r for r in evidence if is_plain(r.recording))
+    """At the temperature at which the linear device was found: at another, gains are others, and a turning wave shows it."""
+    near = (r for r in evidence if abs(float(r.signals.temperature_k.mean())) < TEMPERATURE_SPAN_K)
+    return (r for r in near if is_plain(r.recording))
 
 
 def _flow_left(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> FlowLeft:

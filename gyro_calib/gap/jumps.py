@@ -1,10 +1,11 @@
 """Something jumps within a recording: a gain, a loss, a cross coupling is another from one row to the next, though no command says so.
 
-A force that jumps bends the sum of what the linear device leaves of the slow flow (:mod:`.flow_left`): from there on it has another slope.
-A pick-off's gain that jumps kicks the wave, whose loops then bring the reading back to where it was: the sum itself steps. About a row
-``|t|`` tells the one and ``sign t`` the other, each beside a straight line, and neither is moved by the other; both are looked for over
-several windows in units of their usual size in recordings of the kind. So a relay with two resistances, a contact that opens, a cell that
-flips are told from a knock on the bench, which is a kick and comes alone. Where the frequency jumps it may be the resonator's millikelvins.
+A force that jumps bends the sum of what the linear device leaves of the slow flow (:mod:`.flow_left`): from there on it has another
+slope. A pick-off's gain that jumps kicks the wave, whose loops then bring the reading back to where it was: the sum itself steps. About a
+row ``|t|`` tells the one and ``sign t`` the other, each beside a straight line, and neither is moved by the other; both are looked for
+over several windows in units of their usual size, in recordings of the kind and in that one. So a relay with two resistances, a contact
+that opens, a cell that flips are told from a knock on the bench, which is a kick and comes alone. Where the frequency jumps it may be the
+resonator's millikelvins.
 """
 
 from __future__ import annotations
@@ -110,13 +111,15 @@ def _of_channel(kinds: Sequence[Sequence[FlowLeft]], channel: str, window_s: flo
 
 def _events(members: Sequence[FlowLeft], channel: str, window_s: float) -> list[_Event]:
     """Where either deviation is largest, each event as what it is most."""
-    deviations = [_deviations(flow.rate[channel], round(window_s / flow.row_s)) for flow in members]
-    usual = _MEDIAN * np.median(np.abs(np.concatenate(deviations, axis=1)), axis=1, keepdims=True)
-    if not np.all(usual > 0.0):
+    deviations = [np.abs(_deviations(flow.rate[channel], round(window_s / flow.row_s))) for flow in members]
+    of_all = _MEDIAN * np.median(np.concatenate(deviations, axis=1), axis=1, keepdims=True)
+    if not np.all(of_all > 0.0):
         return []
     events = []
     for flow, deviation in zip(members, deviations, strict=True):
-        size, apart = np.abs(deviation) / usual, round(2.0 * window_s / flow.row_s)
+        # a recording that moves all the time has no jumps
+        usual = np.maximum(of_all, _MEDIAN * np.median(deviation, axis=1, keepdims=True))
+        size, apart = deviation / usual, round(2.0 * window_s / flow.row_s)
         while (largest := float(size.max())) > _JUMP:
             kick, place = np.unravel_index(int(np.argmax(size)), size.shape)
             events.append(_Event(flow.label, bool(kick), largest))
