@@ -160,6 +160,27 @@ def test_a_clipped_channel_is_named(refusal):
     assert "clips" in text
 
 
+def in_one(spoil: Callable[[Recording], Recording], label: str) -> Callable[[Recording], Recording]:
+    """Spoil one recording of a campaign."""
+    return lambda r: spoil(r) if r.label == label else r
+
+
+@pytest.mark.parametrize("label", ["static_x_1", "side_y_a1_0.5hz"])
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (scaled(DRIVES, -1.0), "sign of the"),
+        (scaled((*PICKS[1::2], *DRIVES[1::2]), -1.0), "have the wrong sign"),
+        (swapped(DRIVES), "drive columns of x and y look swapped"),
+        (scaled(DRIVES, 1e-3), "kV"),
+    ],
+)
+def test_one_recording_that_is_unlike_the_others_is_named(refusal, spoil, words, label):
+    text = refusal(in_one(spoil, label))
+    assert words in text
+    assert repr(label) in text
+
+
 @pytest.mark.parametrize(("columns", "axis"), [(DRIVES[:2], "x"), (DRIVES[2:], "y"), (PICKS[2:], "y")])
 def test_a_wrong_sign_is_named(refusal, columns, axis):
     text = refusal(scaled(columns, -1.0))

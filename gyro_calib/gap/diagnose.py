@@ -24,6 +24,7 @@ from .linear_device import linear_of
 from .loud import loudest
 from .model import CampaignModel, look_at
 from .next_experiment import experiment_for, next_experiment
+from .odd_one_out import check_alike
 from .preflight import check_campaign, usable
 from .rate_table import said_late
 from .screen import Candidate, Screened
@@ -74,6 +75,7 @@ def diagnose(
     warnings = check_campaign(campaign)
     recordings = usable(campaign)
     kappa, f0, q = (_factory(campaign, name) for name in ("angular_gain_kappa", "nominal_f0_hz", "nominal_q"))
+    check_alike(recordings, kappa)
     left_out = tuple(without)
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
     warnings = [*warnings, *said_late(model.evidence, model.late_s)]

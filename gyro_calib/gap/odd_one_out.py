@@ -1,0 +1,203 @@
+"""A recording whose columns do not mean what those of the others mean: swapped axes, a wrong sign, conjugate envelopes, millivolts.
+
+Every recording with a wave is foretold by a linear device that is fitted to all the others, in blocks of a tenth of a second. What is asked
+of it knows neither frequency nor azimuth: how fast the amplitude goes, and how fast the wave turns and opens. Healthy recordings and ones
+with strong effects miss that by some hundredths of what acts; one with a wrong sign misses it by once or twice, and where turning the sign
+back mends it, the sign is what was wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DataError
+from ..recording.applied_rate import applied_rate, is_turned
+from ..recording.recording import Recording
+from .parts import turned
+
+__all__ = ["check_alike"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Change = Callable[[ComplexArray], ComplexArray]
+#: length of a block [s]; fewest rows of a recording, and fewest recordings that tell what one must be
+_BLOCK_S, _FEWEST_ROWS, _FEWEST = 0.1, 200, 4
+#: share of what acts that is missed from which on a recording is unlike the others, and what a change must leave to be its cause
+_UNLIKE, _MENDED = 0.5, 0.1
+#: pull of what nothing tells towards zero, over the equations of one recording
+_RIDGE = 1e-6
+
+
+class Blocks(NamedTuple):
+    """Means of blocks: V, L[V] of the reference's frame, u, each (n, 2) complex; rate (n,) [rad/s]."""
+
+    pick: ComplexArray
+    speed: ComplexArray
+    drive: ComplexArray
+    rate: FloatArray
+
+
+@dataclass(frozen=True)
+class _Mend:
+    """What may have been done to columns, undone."""
+
+    words: str
+    pick: Change | None = None
+    drive: Change | None = None
+
+    def __call__(self, b: Blocks) -> Blocks:
+        if self.pick is not None:
+            b = b._replace(pick=self.pick(b.pick), speed=self.pick(b.speed))
+        return b if self.drive is None else b._replace(drive=self.drive(b.drive))
+
+
+def _on(axes: str, change: Change) -> Change:
+    """A change of the columns of these axes alone."""
+    held = np.array([a in axes for a in "xy"])
+    return lambda z: np.where(held, change(z), z)
+
+
+def _mends() -> list[_Mend]:
+    changes: tuple[tuple[str, Change], ...] = (
+        ("the sign of the {} looks wrong. Turn it", lambda z: -z),
+        ("c and s of the {} look swapped. Swap them back", lambda z: 1j * z.conj()),
+        ("the s of the {} look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn it", lambda z: z.conj()),
+        ("the {} look like mV. Give them in volts", lambda z: 1e-3 * z),
+        ("the {} look like kV. Give them in volts", lambda z: 1e3 * z),
+    )
+    found = []
+    for words, change in changes:
+        for axes, whose in (("x", "x "), ("y", "y ")):
+            found.append(_Mend(words.format(f"{whose}drive columns"), drive=_on(axes, change)))
+            found.append(_Mend(words.format(f"{whose}pick-off columns"), pick=_on(axes, change)))
+        # drives times a number are pick-offs over it, and where the phase of the pick-offs is held, conjugate ones are what they were
+        found.append(_Mend(words.format("drive columns (or the pick-off columns)"), drive=change))
+
+    def swap(z: ComplexArray) -> ComplexArray:
+        return z[:, ::-1]
+
+    return [
+        *found,
+        _Mend("the drive columns of x and y look swapped. Swap them back", drive=swap),
+        _Mend("the pick-off columns of x and y look swapped. Swap them back", pick=swap),
+        _Mend("all columns of x and y look swapped. Swap them back", swap, swap),
+    ]
+
+
+def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
+    """Refuse a recording that obeys the equations of the others only once its columns are changed.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    angular_gain : float
+        kappa of the factory.
+
+    Raises
+    ------
+    DataError
+        Names the recording, by how much it misses, and the change that mends it.
+    """
+    waves = [r for r in recordings if r.command.mode != "loops_off" and not is_turned(r) and len(r) >= _FEWEST_ROWS]
+    if len(waves) < _FEWEST:
+        return
+    equations = [_Equations.of(_blocks(r), angular_gain) for r in waves]
+    found = []
+    for place, (r, own) in enumerate(zip(waves, equations, strict=True)):
+        others = [*equations[:place], *equations[place + 1 :]]
+        device = _device_of(others)
+        if (missed := own.missed(device)) < _UNLIKE:
+            continue
+        for mend in _mends():
+            mended = _Equations.of(mend(_blocks(r)), angular_gain)
+            if (left := mended.missed(device)) < _MENDED:
+                all_of_one = _device_of([*others, mended])
+                found.append((max(e.missed(all_of_one) for e in (*others, mended)), r.label, missed, left, mend.words))
+    if found:
+        # one wrong recording spoils what is foretold of the others, too: the cause is what makes all of them those of one device
+        _, label, missed, left, words = min(found)
+        raise DataError(
+            f"Recording {label!r} must obey the equations of the other {len(waves) - 1}, but misses {missed:.2g} of what acts, and only "
+            f"{left:.2g} once changed: {words}, or leave it out."
+        )
+
+
+def _blocks(r: Recording) -> Blocks:
+    """Projections on squared sines that overlap by half; the derivative falls on the window."""
+    half = max(2, round(0.5 * _BLOCK_S * r.sample_rate_hz))
+    count = len(r) // half - 1
+    phase = np.pi * (np.arange(2 * half) + 0.5) / (2 * half)
+    value = np.sin(phase) ** 2
+    total = float(value.sum())
+    slope = np.pi / (2 * half) * r.sample_rate_hz * np.sin(2.0 * phase)
+
+    def projected(x: ComplexArray, window: FloatArray) -> ComplexArray:
+        parts = x[: (count + 1) * half].reshape(count + 1, half, -1)
+        rising, falling = (np.einsum("mhk,h->mk", parts, w) for w in (window[:half], window[half:]))
+        return np.asarray((rising[:-1] + falling[1:]) / total)
+
+    away = 1j * (r.ref_omega_rad_s - np.median(r.ref_omega_rad_s))[:, None]
+    rate = applied_rate(r)[0]
+    return Blocks(
+        projected(r.pick, value),
+        projected(away * r.pick, value) - projected(r.pick, slope),
+        projected(r.drive, value),
+        projected(rate[:, None].astype(np.complex128), value)[:, 0].real,
+    )
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Regressors (3 n, 16) of the entries of A and G, what they must explain, and both as normal equations per row."""
+
+    x: FloatArray
+    y: FloatArray
+    normal: FloatArray
+    right: FloatArray
+
+    @classmethod
+    def of(cls, b: Blocks, angular_gain: float) -> _Equations:
+        """What blocks say of the device."""
+        x, y = _rows(b, angular_gain)
+        return cls(x, y, x.T @ x / len(y), x.T @ y / len(y))
+
+    def missed(self, device: FloatArray) -> float:
+        """What a device leaves over the largest of what acts: loss and coupling, drives, change."""
+        half = self.x.shape[1] // 2
+        parts = (self.x[:, :half] @ device[:half], self.x[:, half:] @ device[half:], self.y)
+        largest = max(float(np.sqrt(np.mean(part**2))) for part in parts)
+        return float(np.sqrt(np.mean((self.x @ device - self.y) ** 2))) / max(largest, 1e-300)
+
+
+def _device_of(equations: Sequence[_Equations]) -> FloatArray:
+    """A and G of the recordings together."""
+    normal, right = np.sum([e.normal for e in equations], axis=0), np.sum([e.right for e in equations], axis=0)
+    scale = np.sqrt(np.diag(normal)) + 1e-300
+    return np.asarray(np.linalg.solve(normal / np.outer(scale, scale) + _RIDGE * np.eye(len(scale)), right / scale) / scale)
+
+
+def _rows(b: Blocks, angular_gain: float) -> tuple[FloatArray, FloatArray]:
+    """How fast the wave grows, turns and opens: by each entry of A and G, and in all."""
+    square = np.sum(np.abs(b.pick) ** 2, axis=1)
+    of_phase = np.conj(np.sum(b.pick**2, axis=1))
+    of_phase = of_phase / np.maximum(np.abs(of_phase), 1e-300)
+
+    def seen(speed: ComplexArray) -> FloatArray:
+        along = np.sum(b.pick.conj() * speed, axis=1) / square
+        across = of_phase * (b.pick[:, 0] * speed[:, 1] - b.pick[:, 1] * speed[:, 0]) / square
+        return np.concatenate([along.real, across.real, across.imag])
+
+    columns = []
+    for source in (b.pick, b.drive):
+        for a in range(2):
+            for k in range(2):
+                entry = np.zeros_like(source)
+                entry[:, a] = source[:, k]
+                columns += [seen(entry), seen(1j * entry)]
+    turning = angular_gain * b.rate[:, None] * turned(b.pick)
+    return np.stack(columns, axis=1), seen(b.speed + turning)
