@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, run_plan
 from gyro_calib.experiments.gap_plans import gap_ftr_plan
 from gyro_calib.gap.model import look_at
-from gyro_calib.gap.signals import smooth_temperature
+from gyro_calib.gap.signals import smooth_reading, smooth_temperature
 from gyro_calib.recording.columns import COLUMNS, column_index
 from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.recording import Recording
@@ -21,15 +22,23 @@ from gyro_calib.simulation import GyroSimulator
 ROW_S = 0.01
 
 
-def ramp(*, follows: bool) -> tuple[Recording, np.ndarray]:
-    """A temperature that rises by 4 K in 8 s and then holds, read with a millikelvin of noise."""
+def low_pass(x: np.ndarray, tau_s: float) -> np.ndarray:
+    """First-order, settled before the first row."""
+    if tau_s == 0.0:
+        return x
+    a = math.exp(-ROW_S / tau_s)
+    return np.asarray(lfilter([0.5 - 0.5 * a, 0.5 - 0.5 * a], [1.0, -a], x, zi=[(0.5 + 0.5 * a) * x[0]])[0])
+
+
+def ramp(*, follows: bool, heater_s: float = 0.0, sensor_s: float = 0.0, noise_k: float = 1e-3) -> tuple[Recording, np.ndarray]:
+    """A temperature that rises by 4 K in 8 s and then holds, read with noise by a sensor with a lag."""
     t = ROW_S * np.arange(1200)
-    true = np.minimum(0.5 * t, 4.0)
+    true = low_pass(np.minimum(0.5 * t, 4.0), heater_s)
     rng = np.random.default_rng(0)
     rows = np.zeros((t.size, len(COLUMNS)))
     rows[:, 0], rows[:, 1], rows[:, 2] = t, 1.0, 1.0
     rows[:, column_index("ref_freq")] = 15000.0 - (0.4 * true if follows else 0.0)
-    rows[:, column_index("temperature")] = 25.0 + true + 1e-3 * rng.standard_normal(t.size)
+    rows[:, column_index("temperature")] = 25.0 + low_pass(true, sensor_s) + noise_k * rng.standard_normal(t.size)
     return Recording("ring", rows, Command("ftr_x", setpoints=Setpoints(amplitude_v=1.0)), 1.0 / ROW_S, "r"), 25.0 + true
 
 
@@ -42,6 +51,21 @@ def test_a_reference_that_follows_the_resonance_gives_a_ramp_its_corner() -> Non
     assert rounded > 0.018
     assert sharp < 0.009
     assert np.abs(smooth_temperature(recording) - true)[100:700].max() < 2e-3
+
+
+def test_a_sensor_that_lags_is_late_by_its_own_reading() -> None:
+    """A reference tells of the resonator's own corners: they are not late."""
+    recording, true = ramp(follows=True, heater_s=0.3, sensor_s=0.25, noise_k=1e-5)
+    seen, reading = smooth_temperature(recording), smooth_reading(recording)
+    inner = slice(60, -60)
+    bend = np.gradient(np.gradient(seen, ROW_S), ROW_S)[inner]
+    left = []
+    for late_by in (reading, seen):
+        missed = (seen + 0.25 * np.gradient(late_by, ROW_S) - true)[inner]
+        # what smoothing rounds off is a nuisance of its own
+        left.append(float(np.std(missed - bend * float(bend @ missed) / float(bend @ bend))))
+    assert left[0] < 0.5e-3
+    assert left[1] > 3.0 * left[0]
 
 
 @pytest.mark.parametrize("follows", [True, False])

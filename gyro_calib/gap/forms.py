@@ -174,12 +174,17 @@ def _temperature(s: Signals) -> ComplexArray:
     return s.temperature_k[:, None].astype(np.complex128)
 
 
+def _reading(s: Signals) -> ComplexArray:
+    """It is the sensor that is ahead or late; corners that a reference tells of are the resonator's own."""
+    return s.reading_k[:, None].astype(np.complex128)
+
+
 def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """A lag that is short against the ramps is linear in its time; a longer one rounds their corners, and is tried as what it is."""
     if "tau" in setting:
-        late = remembered(s, _temperature, setting["tau"], steady=False) - s.temperature_k[:, None]
+        late = remembered(s, _reading, setting["tau"], steady=False) - _reading(s)
         return [Part("share", "flow", 1j * d.frequency_slope_rad_s_k * late * _motion(s, d))]
-    slope = np.gradient(s.temperature_k, s.row_s)[:, None]
+    slope = np.gradient(s.reading_k, s.row_s)[:, None]
     return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
 
 

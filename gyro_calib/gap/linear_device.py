@@ -216,7 +216,7 @@ def _moved(r: RecordingEvidence, values: Mapping[str, float]) -> ComplexArray:
 def _detuning(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
     """How far the resonance lay from the frequency of reference, row by row, by its temperature and its wander."""
     s, slope = r.signals, values.get("frequency_per_k", 0.0)
-    late = -slope * values.get("thermal_lag.tau", 0.0) * np.gradient(s.temperature_k, s.row_s)
+    late = -slope * values.get("thermal_lag.tau", 0.0) * np.gradient(s.reading_k, s.row_s)
     return np.asarray(followed_by(r, values) + late + values.get("frequency_ageing.k", 0.0) * s.time_s)
 
 

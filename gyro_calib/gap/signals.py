@@ -35,12 +35,9 @@ def smooth_temperature(recording: Recording) -> FloatArray:
     """Temperature of every row without the noise of its sensor, which would be in the frequency: a straight line, or where the temperature
     moved a running mean. Its corners, which that rounds, are those of a reference that follows the resonance, if there is one.
     """
-    raw, n = recording.temperature_degc, len(recording)
-    place = np.linspace(-1.0, 1.0, n)
-    line = raw.mean() + place * float(place @ raw) / float(place @ place)
-    running = _running_mean(raw, SMOOTH_S * recording.sample_rate_hz)
+    running = smooth_reading(recording)
     if np.ptp(running) <= WARMING_K:
-        return np.asarray(line)
+        return running
     reference = recording.ref_omega_rad_s - recording.ref_omega_rad_s.mean()
     slow = _running_mean(reference, SMOOTH_S * recording.sample_rate_hz)
     warm = running - running.mean()
@@ -49,6 +46,16 @@ def smooth_temperature(recording: Recording) -> FloatArray:
         return np.asarray(running)
     kelvin = float(warm @ warm) / float(warm @ slow)
     return np.asarray(running + kelvin * (_running_mean(reference, _CORNER_S * recording.sample_rate_hz) - slow))
+
+
+def smooth_reading(recording: Recording) -> FloatArray:
+    """What the sensor alone says of every row: late by its own lag at every corner, as a reference is not."""
+    raw, n = recording.temperature_degc, len(recording)
+    place = np.linspace(-1.0, 1.0, n)
+    running = _running_mean(raw, SMOOTH_S * recording.sample_rate_hz)
+    if np.ptp(running) > WARMING_K:
+        return running
+    return np.asarray(raw.mean() + place * float(place @ raw) / float(place @ place))
 
 
 def _running_mean(x: FloatArray, rows: float) -> FloatArray:
@@ -135,6 +142,11 @@ class Signals:
     def temperature_k(self) -> FloatArray:
         """Temperature above the one that the campaign is referred to, shape (n,)."""
         return np.asarray(thin(smooth_temperature(self.recording), self.width)) - self.temperature_degc
+
+    @cached_property
+    def reading_k(self) -> FloatArray:
+        """The same as its sensor alone tells it, shape (n,)."""
+        return np.asarray(thin(smooth_reading(self.recording), self.width)) - self.temperature_degc
 
     @cached_property
     def rate_rad_s(self) -> FloatArray:
