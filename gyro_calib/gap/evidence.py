@@ -81,13 +81,11 @@ class RecordingEvidence:
         projector = self.quiet_forms if quiet else self.signal_forms
         f = projector.frequency_hz
         slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
-        # in whole angle this made a turned hemisphere's precession too loud, and why is not known (doc/gap.md, Noise)
-        standing = channel == "frequency" and self.is_wave and self.recording.command.oscillator_axis
-        walk = np.diag(projector.walk_gram) if standing else None
-        scale = self.mean_square if channel == "frequency" and self.is_wave else 1.0
+        if channel != "frequency" or not self.is_wave:
+            return Lines(np.where(f == 0.0, MEAN_LINE / self.recording.duration_s, f), slope, 1.0, f == 0.0)
         # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds little noise beside that
-        mean = OWN_MEAN_LINE if channel == "frequency" and self.is_wave else MEAN_LINE
-        return Lines(np.where(f == 0.0, mean / self.recording.duration_s, f), slope, scale, f == 0.0, walk)
+        mean = np.where(f == 0.0, OWN_MEAN_LINE / self.recording.duration_s, f)
+        return Lines(mean, slope, self.mean_square, f == 0.0, np.diag(projector.walk_gram))
 
     @cached_property
     def grams(self) -> Grams:
