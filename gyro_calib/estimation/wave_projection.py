@@ -96,10 +96,13 @@ def thin(signal: NDArray[Any], width: int) -> NDArray[Any]:
     """Three running means of ``width`` rows, one row of ``width`` kept; along the first axis."""
     if width <= 1:
         return signal
-    for _ in range(3):
-        total = np.concatenate([np.zeros((1, *signal.shape[1:]), dtype=signal.dtype), np.cumsum(signal, axis=0)])
-        signal = (total[width:] - total[:-width]) / width
-    return signal[::width]
+    mean = np.full(width, 1.0 / width)
+    weights = np.convolve(np.convolve(mean, mean), mean)
+    last = max((len(signal) - weights.size) // width * width + 1, 0)
+    out = weights[0] * signal[:last:width]
+    for k, weight in enumerate(weights[1:], start=1):
+        out += weight * signal[k : k + last : width]
+    return np.asarray(out)
 
 
 @dataclass(frozen=True)

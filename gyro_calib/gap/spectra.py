@@ -78,9 +78,12 @@ class PickSpectrum:
 def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float) -> NDArray[np.bool_]:
     """Whether lines at these distances are a harmonic of the carrier folded at a converter's rate, or stand on the skirt of one."""
     near = max(_SAME_HZ, _SKIRT_BINS * bin_hz)
-    harmonics = [k for k in range(-_IMAGED, _IMAGED + 1) if k != 1]
-    rates = carrier_hz + away_hz[:, None] - carrier_hz * np.array(harmonics)
-    return np.asarray(np.any(np.abs(rates - RATES_HZ * np.round(rates / RATES_HZ)) < near, axis=1))
+    found = np.zeros(away_hz.shape, dtype=bool)
+    for k in range(-_IMAGED, _IMAGED + 1):
+        if k != 1:
+            places = (away_hz + (1.0 - k) * carrier_hz) / RATES_HZ
+            found |= np.abs(places - np.rint(places)) * RATES_HZ < near
+    return found
 
 
 def plain_records(recordings: Sequence[Recording]) -> list[Recording]:
@@ -89,6 +92,7 @@ def plain_records(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def is_plain(r: Recording) -> bool:
+    """Whether loops hold a wave here that nothing but a side band moves, at one temperature and at rest."""
     held = r.command.mode.startswith("ftr") or r.command.mode == "whole_angle"
     steady = not is_turned(r) and float(np.ptp(smooth_temperature(r))) < WARMING_K
     return held and steady and r.duration_s >= _SHORTEST_S and r.command.excitation.kind in ("none", "amplitude_modulation")
@@ -108,7 +112,8 @@ def near_line(recordings: Sequence[Recording], frequency_hz: float) -> tuple[int
 def _spectrum(r: Recording) -> PickSpectrum:
     x = detrended(r.pick)
     power = np.abs(np.fft.fftshift(np.fft.fft(x * steep_window(len(r))[:, None], axis=0), axes=0)) ** 2
-    floor = median_filter(power, size=(2 * _FLOOR_BINS + 1, 1), mode="wrap") / _MEDIAN
+    # a running median of one row of numbers is what scipy has a fast way for
+    floor = np.stack([median_filter(of_axis, size=2 * _FLOOR_BINS + 1, mode="wrap") for of_axis in power.T.copy()], axis=1) / _MEDIAN
     frequency = np.fft.fftshift(np.fft.fftfreq(len(r), 1.0 / r.sample_rate_hz))
     azimuth = wave_coordinates(r).azimuth_rad
     turning = abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * r.duration_s)
