@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 from numpy.typing import NDArray
 
 from gyro_calib.gap.column import Column
+from gyro_calib.gap.factored import factored
 from gyro_calib.gap.screen import Candidate, Screener
-from gyro_calib.gap.system import Whitener, factored, solve, with_priors
+from gyro_calib.gap.system import Whitener, solve, with_priors
 
 ROWS = 40
 
@@ -53,9 +55,42 @@ def test_of_columns_that_are_one_each_has_half_and_no_more_certainty_than_both(g
 def test_more_unknowns_than_equations_have_the_least_values() -> None:
     a = np.random.default_rng(3).standard_normal((4, 7))
     a /= np.linalg.norm(a, axis=0)
-    basis, factor = factored(a)
+    basis, factor = factored(a, 4)
     target = np.array([1.0, -2.0, 0.5, 3.0])
     np.testing.assert_allclose(factor @ (basis.T @ target), np.linalg.pinv(a) @ target, rtol=1e-9)
+
+
+def of_recordings(rng: np.random.Generator, *, twins: bool) -> tuple[np.ndarray, int]:
+    """Thirty recordings of ten equations with three columns of their own, twenty of all, priors below; in any order."""
+    own = scipy.linalg.block_diag(*rng.standard_normal((30, 10, 3)))
+    of_all = rng.standard_normal((300, 20))
+    # all but a recording's own, and where nothing tells them apart
+    of_all[:, 3] = own[:, 7] + 1e-6 * of_all[:, 3]
+    if twins:
+        of_all[:, 5], own[:, 31] = own[:, 4] - 2.0 * of_all[:, 6], own[:, 30]
+    prior = np.diag(np.where(rng.random(110) < 0.7 - twins, 0.3, 0.0))
+    full = np.concatenate([np.hstack([own, of_all]), prior[prior.any(axis=1)]])
+    return full[:, rng.permutation(110)] * np.exp(3.0 * rng.standard_normal(110)), 300
+
+
+@pytest.mark.parametrize("twins", [False, True])
+def test_columns_of_one_recording_taken_first_are_the_same_least_squares(twins: bool) -> None:
+    rng = np.random.default_rng(11)
+    full, equations = of_recordings(rng, twins=twins)
+    basis, factor = factored(full, equations)
+    target = rng.standard_normal(len(full))
+    # columns that no recording has alone: without rows to tell which are
+    dense, values = factored(full, 1)
+    assert basis.shape == dense.shape == (len(full), 108 if twins else 110)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-9)
+    np.testing.assert_allclose(basis @ (basis.T @ full), full, atol=1e-9 * np.abs(full).max())
+    np.testing.assert_allclose(basis @ (basis.T @ target), dense @ (dense.T @ target), atol=1e-8)
+    norms = np.linalg.norm(full, axis=0)
+    np.testing.assert_allclose(
+        (factor @ factor.T) * np.outer(norms, norms), (values @ values.T) * np.outer(norms, norms), rtol=1e-4, atol=1e-4
+    )
+    if not twins:
+        np.testing.assert_allclose(factor @ (basis.T @ target), np.linalg.lstsq(full, target, rcond=None)[0], rtol=1e-5)
 
 
 def test_a_prior_is_a_row_below() -> None:

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .column import Column
+from .factored import factored
 from .parts import Setting
-from .system import Whitener, factored, with_priors
+from .system import Whitener, with_priors
 
 __all__ = ["Candidate", "Screened", "Screener", "worth"]
 
@@ -135,7 +136,7 @@ class Screener:
         self._healthy = {c.name.split(".")[0] for c in nuisances}
         design = whitener.design(nuisances, self._count)
         full = with_priors(nuisances, design)
-        self.basis = factored(full)[0]
+        self.basis = factored(full, design.shape[0])[0]
         self._pad = full.shape[0] - design.shape[0]
         self.rows = design.shape[0]
         whole = np.concatenate([whitener.rows(target), np.zeros(self._pad)])

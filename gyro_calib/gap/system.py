@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from .column import Column
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
+from .factored import factored
 from .noise_law import NoiseLaw
 
-__all__ = ["NoiseByRole", "Solution", "Whitener", "factored", "solve", "with_priors"]
+__all__ = ["NoiseByRole", "Solution", "Whitener", "solve", "with_priors"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: (role, channel) -> density
 NoiseByRole = Mapping[tuple[str, str], NoiseLaw]
-#: of the largest singular value: what is below is no direction of its own
-_ALIKE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -136,26 +135,10 @@ def with_priors(columns: Sequence[Column], design: FloatArray) -> FloatArray:
     return np.vstack([design, rows])
 
 
-def factored(full: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Orthonormal columns (n, r) that span a matrix (n, k), and (k, r) what makes least-squares values of products with them.
-
-    Columns that are nearly others' leave r < k; the values are then the least ones, each in its column's norm.
-    """
-    scale = np.linalg.norm(full, axis=0)
-    scale[scale == 0.0] = 1.0
-    q, r = scipy.linalg.qr(full / scale, mode="economic", check_finite=False)
-    # a triangle costs a third of singular values: these are asked only where columns are nearly alike
-    if r.shape[0] == r.shape[1] and scipy.linalg.lapack.dtrcon(r)[0] > _ALIKE:
-        return q, scipy.linalg.lapack.dtrtri(r)[0] / scale[:, None]
-    u, s, vt = np.linalg.svd(r, full_matrices=False)
-    kept = s > _ALIKE * s[0]
-    return q @ u[:, kept], vt[kept].T / s[kept] / scale[:, None]
-
-
 def solve(columns: Sequence[Column], design: FloatArray, target: FloatArray) -> Solution:
     """Least squares with the columns' priors; directions that nothing tells are left at zero."""
     full = with_priors(columns, design)
-    basis, factor = factored(full)
+    basis, factor = factored(full, target.size)
     whole = np.concatenate([target, np.zeros(full.shape[0] - target.size)])
     values = factor @ (basis.T @ whole)
     left = whole - full @ values
