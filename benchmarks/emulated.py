@@ -52,8 +52,7 @@ class RowsOf:
 
 def size_of(model: CampaignModel, effect: Emulated, z: FloatArray, snr: float) -> float | None:
     """What the effect is to be multiplied by for a chi-square of ``snr`` squared beside the nuisances; None where they hide it."""
-    kind = "drive" if effect.kind == "drive" else effect.kind
-    parts = [[Part("c", kind, np.asarray(effect.signal(RowsOf(r.signals, model.linear.E), z)))] for r in model.evidence]
+    parts = [[Part("c", effect.kind, np.asarray(effect.signal(RowsOf(r.signals, model.linear.E), z)))] for r in model.evidence]
     clean, norms = model.screener.projected(part_columns(model.evidence, parts, model.linear))
     left = float(np.linalg.norm(clean))
     return snr / left if left > _LEAST_LEFT * float(norms[0]) else None

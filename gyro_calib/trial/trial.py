@@ -38,6 +38,7 @@ _NOT_MULTIPLEXED = (
     "drive_amplitude_phase",
     "drive_cross_nonlinearity",
     "drive_sag",
+    "drive_stiffness",
     "drive_saturation",
     "drive_dead_zone",
 )
