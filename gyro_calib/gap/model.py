@@ -28,15 +28,15 @@ from .rate_table import in_time, rate_columns, steps_of
 from .saturated import columns_of_time, effect_columns, open_drive, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
-from .slow import drift_family, slow_drifts
+from .slow import MOST_WANDER, drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
 from .thermometer import THERMOMETER, own_columns, thermometer_columns
 
 __all__ = ["CampaignModel", "look_at"]
 
 ComplexArray = NDArray[np.complex128]
-#: resonance wander between records, over its frequency: a usual one, and the most that is believed
-_WANDER, _MOST_WANDER = 5e-8, 5e-7
+#: a usual wander of a resonance between records, over its frequency
+_WANDER = 5e-8
 #: on what unnamed terms of the saturated model depend
 _STRANGE = ("amplitude", "drive")
 #: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
@@ -150,7 +150,7 @@ def look_at(
     report(0.0, "projecting")
     evidence = CampaignEvidence.of(recordings, decay_rate)
     report(0.25, "fitting the linear device")
-    wander, most = _WANDER * evidence.omega0_rad_s, _MOST_WANDER * evidence.omega0_rad_s
+    wander, most = _WANDER * evidence.omega0_rad_s, MOST_WANDER * evidence.omega0_rad_s
     linear, rough = _linear(evidence, _first(evidence, wander), angular_gain, 0.0)
     check_linear(linear, rough, recordings)
     # what feeds through does not resonate: once E is known the frequency's column is right
