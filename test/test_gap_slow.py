@@ -15,10 +15,15 @@ from gyro_calib.gap.column import Column
 from gyro_calib.gap.floors import beat_their_floors, louder_floors
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.relinearise import relinearised
+from gyro_calib.gap.screen import Screener
 from gyro_calib.gap.sizes import gained_by_resizing, measured_shares, with_shares
 from gyro_calib.gap.slow import drift_family
 from gyro_calib.gap.system import Solution
 from gyro_calib.simulation import GyroSimulator
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.trial import _look
+from gyro_calib.trial.units import draw_trial_unit
 
 
 def solution(sizes: dict[str, float], rng: np.random.Generator) -> Solution:
@@ -133,7 +138,11 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
     campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
     f = campaign.factory
     model = look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
-    hushed = replace(model, nuisances=tuple(replace(c, prior_sd=c.prior_sd / 3.0) if drift_family(c) else c for c in model.nuisances))
+    # but for the resonance's wander, of which the shifts of the records take what its cosines do not
+    hushed = replace(
+        model,
+        nuisances=tuple(replace(c, prior_sd=c.prior_sd / 3.0) if drift_family(c) not in ("", "frequency") else c for c in model.nuisances),
+    )
     drift = next(s for s in model.screener.screened(model.candidates["split_drift"]))
     other = next(s for s in model.screener.screened(model.candidates["duffing"]))
     least, most = louder_floors(model, []), louder_floors(hushed, [])
@@ -141,3 +150,17 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
     for evidence, beats in ((most - 1.0, False), (most + 1.0, True)):
         assert beat_their_floors(hushed, [replace(drift, log_evidence=evidence)]) is beats
     assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
+
+
+def test_a_wander_that_takes_minutes_is_no_course_of_the_frequency() -> None:
+    """Shifts of records believed to be independent of one another left a clean ring a stiffness that the drives' heat makes (55)."""
+    unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(1)
+    model = _look(record_unit(unit, campaign_plan("ring", unit.device.factory(), rng, "quick"), {}, rng))
+    slow = [c for c in model.nuisances if drift_family(c) == "frequency"]
+    values = np.array([model.base.by_name()[c.name] for c in slow])
+    assert len(slow) == 8
+    assert 0.2 < np.sqrt(np.mean((values / [c.prior_sd for c in slow]) ** 2)) < 2.0
+    without = Screener(model.whitener, [c for c in model.nuisances if c not in slow], model.target)
+    assert without.chi2 > model.screener.chi2 + 10.0
+    for name in ("frequency_ageing", "thermal_lag", "charge_accumulation"):
+        assert max(s.log_evidence for s in model.screener.screened(model.candidates[name])) < 5.0

@@ -17,6 +17,7 @@ from .candidates import candidate_at, registry_name
 from .exact_levels import best_exact_level
 from .floors import beat_their_floors
 from .model import CampaignModel
+from .one_recording import told_by_several
 from .relinearise import relinearised
 from .saturated import is_of_time, with_twins
 from .screen import Candidate, Screened, Screener
@@ -220,7 +221,12 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         effects = _together(model, chosen)
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
-        needed = [(len(effects) == 1 or _enough(e, largest)) and seen_at_rest(model, effects, e) for e in effects]
+        needed = [
+            (len(effects) == 1 or _enough(e, largest))
+            and seen_at_rest(model, effects, e)
+            and told_by_several(model, e, [o.candidate for o in effects if o is not e])
+            for e in effects
+        ]
         if not beat_their_floors(model, effects):
             needed = [need and not is_of_time(e.name) for e, need in zip(effects, needed, strict=True)]
         doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]

@@ -1,4 +1,4 @@
-"""What moves slower than a recording: drives' stray volts and gains, the rate's own floor, as slow cosines of a flicker's sizes.
+"""What moves slower than a recording: drives' stray volts and gains, the floors of rate and resonance, as slow cosines of flicker's sizes.
 
 A 1/f floor does not end at the length of a record: the means of records that follow one another err alike, and a campaign of some minutes
 sees it as a drift. Treated as independent from record to record it is taken for an effect of time. Half cosines ``cos(pi k t/T)`` of the
