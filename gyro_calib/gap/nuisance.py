@@ -39,8 +39,8 @@ GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-5, 5e-3
 #: how the name of what both axes have alike begins
 _BOTH = "both_"
 BOTH_PICKOFFS = f"{_BOTH}thermal_pickoff_gain"
-#: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by some ppm/K
-_UNLIKE_PER_K = 0.05
+#: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by tens of ppm/K
+_UNLIKE_PER_K = 0.13
 #: damping that does not go as all of it does, over its anisotropy and over the damping [1/K]
 _OTHERWISE_PER_K, _OTHERWISE_OF_ALL_PER_K = 1e-3, 1e-6
 #: relative curvature of the damping [1/K^2]
