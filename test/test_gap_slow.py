@@ -153,7 +153,7 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
 
 
 def test_a_wander_that_takes_minutes_is_no_course_of_the_frequency() -> None:
-    """Shifts of records believed to be independent of one another left a clean ring a stiffness that the drives' heat makes (55)."""
+    """Shifts of records alone, each by itself, leave what a trial's ring does with its millikelvins to whatever goes with time."""
     unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(1)
     model = _look(record_unit(unit, campaign_plan("ring", unit.device.factory(), rng, "quick"), {}, rng))
     slow = [c for c in model.nuisances if drift_family(c) == "frequency"]

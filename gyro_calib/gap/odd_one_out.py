@@ -106,7 +106,8 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
     waves = [r for r in recordings if r.command.mode != "loops_off" and not is_turned(r) and len(r) >= _FEWEST_ROWS]
     if len(waves) < _FEWEST:
         return
-    equations = [_Equations.of(_blocks(r), angular_gain) for r in waves]
+    blocks = [_blocks(r) for r in waves]
+    equations = [_Equations.of(b, angular_gain) for b in blocks]
     found = []
     for place, (r, own) in enumerate(zip(waves, equations, strict=True)):
         others = [*equations[:place], *equations[place + 1 :]]
@@ -114,7 +115,7 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
         if (missed := own.missed(device)) < _UNLIKE:
             continue
         for mend in _mends():
-            mended = _Equations.of(mend(_blocks(r)), angular_gain)
+            mended = _Equations.of(mend(blocks[place]), angular_gain)
             if (left := mended.missed(device)) < _MENDED:
                 all_of_one = _device_of([*others, mended])
                 found.append((max(e.missed(all_of_one) for e in (*others, mended)), r.label, missed, left, mend.words))

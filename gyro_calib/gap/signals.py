@@ -145,7 +145,7 @@ class Signals:
 
     @cached_property
     def reading_k(self) -> FloatArray:
-        """The same as its sensor alone tells it, shape (n,)."""
+        """The same as its sensor alone tells it [K], shape (n,)."""
         return np.asarray(thin(smooth_reading(self.recording), self.width)) - self.temperature_degc
 
     @cached_property
