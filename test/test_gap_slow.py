@@ -14,12 +14,14 @@ from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.floors import beat_their_floors, louder_floors
 from gyro_calib.gap.model import look_at
+from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.gap.screen import Screener
 from gyro_calib.gap.sizes import gained_by_resizing, measured_shares, with_shares
 from gyro_calib.gap.slow import drift_family
 from gyro_calib.gap.system import Solution
 from gyro_calib.simulation import GyroSimulator
+from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.trial import _look
@@ -164,3 +166,20 @@ def test_a_wander_that_takes_minutes_is_no_course_of_the_frequency() -> None:
     assert without.chi2 > model.screener.chi2 + 10.0
     for name in ("frequency_ageing", "thermal_lag", "charge_accumulation"):
         assert max(s.log_evidence for s in model.screener.screened(model.candidates[name])) < 5.0
+
+
+def test_what_one_recording_alone_tells_is_no_drift() -> None:
+    """A first record whose quadrature is another looks like a charge that is soon there; a stiffness that drifts is told by all."""
+    unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(2)
+    model = _look(record_unit(unit, campaign_plan("ring", unit.device.factory(), rng, "quick"), {}, rng))
+    charge, drift = model.candidates["charge_accumulation"][0], model.candidates["split_drift"][0]
+    first = next(k for k, r in enumerate(model.evidence) if r.is_wave)
+    column = next(c for c in drift.columns if np.any(c.signal[first]))
+    once = replace(column, signal=tuple(v if k == first else 0.0 * v for k, v in enumerate(column.signal)))
+    for added, candidate, several in ((once, charge, False), (column, drift, True)):
+        size = 15.0 / float(np.linalg.norm(model.screener.projected([added])[0]))
+        strange = with_columns(model, [(added, size)])
+        found = strange.screener.screen(candidate)
+        assert found is not None
+        assert found.gain > 25.0
+        assert told_by_several(strange, found, []) is several
