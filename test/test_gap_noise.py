@@ -23,22 +23,25 @@ from gyro_calib.gap.evidence import MEAN_LINE, STEADY, WARMING
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import quiet_target_of, target_of
 from gyro_calib.gap.model import CampaignModel, _wander_of_means, look_at
-from gyro_calib.gap.noise import _tamed, _wandering_all_the_same, measured_noise, plain_noise
+from gyro_calib.gap.noise import _parts, _tamed, _wandering_all_the_same, measured_noise, plain_noise
 from gyro_calib.gap.noise_law import PICKOFF, WHITE, Grams, Lines, NoiseLaw
 from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
 from gyro_calib.gap.screen import Screened
-from gyro_calib.gap.select import _alike, _best_refined, _between_settings, _with_unlike_pickoffs, best_of_each
+from gyro_calib.gap.select import _alike, _best_refined, _between_settings, _with_unlike_pickoffs, best_of_each, select_effects
 from gyro_calib.gap.signals import Projector, Signals
 from gyro_calib.gap.strangers import MARGIN
 from gyro_calib.gap.thermometer import OWN
 from gyro_calib.recording.applied_rate import is_turned
-from gyro_calib.recording.recording import Campaign
+from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.sizing import size_effect
 from gyro_calib.trial.units import draw_trial_unit
+
+#: by how much a gain scatters from recording to recording
+SCATTER = 2e-5
 
 
 def looked_at(kind: str, sizes: Mapping[str, Mapping[str, float]], without: tuple[str, ...] = ()) -> CampaignModel:
@@ -321,3 +324,44 @@ def test_a_walk_of_a_wave_that_turns_is_correlated_as_one_that_stands() -> None:
         believed = law.covariance(replace(lines, walk_s2=None), r.grams)[np.ix_(~lines.is_mean, ~lines.is_mean)]
         worst = max(worst, float(np.mean(np.linalg.solve(np.linalg.cholesky(believed), seen) ** 2, axis=1).max()))
     assert worst > 3.0
+
+
+def test_a_gain_that_is_another_in_each_recording_is_noise_of_its_means() -> None:
+    rng = np.random.default_rng(3)
+    unit, planned = draw_trial_unit("ring", 79, 1), np.random.default_rng(1)
+    campaign = record_unit(unit, campaign_plan("ring", unit.device.factory(), planned, "quick"), {}, planned)
+    scattered = look_of(replace(campaign, recordings=tuple(with_drive(r, "y", 1.0 + SCATTER * rng.standard_normal()) for r in campaign)))
+    key = ("ftr_y", "amplitude")
+    assert scattered.noise[key].mean > 2.0 * scattered.noise[key].coefficients[WHITE]
+    assert scattered.noise["ftr_x", "amplitude"].mean < 0.2 * scattered.noise[key].mean
+    # the means are as loud as they are believed to be, and nothing is named
+    squares, free = means_left(scattered, key)
+    assert squares < free + 4.0 * math.sqrt(2.0 * free)
+    assert select_effects(scattered).effects == ()
+
+
+def with_drive(recording: Recording, axis: str, factor: float) -> Recording:
+    data = recording.data.copy()
+    first = 6 if axis == "x" else 8
+    data[:, first : first + 2] *= factor
+    return replace(recording, data=data)
+
+
+def means_left(model: CampaignModel, key: tuple[str, str]) -> tuple[float, float]:
+    """Squares of a kind's means in units of their noise, and what is expected of them."""
+    freedom = 1.0 - np.sum(model.base.basis**2, axis=1)
+    squares = free = 0.0
+    for _, r, _, _, channel, rows in _parts(model.evidence):
+        if r.noise_key(channel) == key:
+            means = r.lines(channel).is_mean
+            squares += float(np.sum(model.base.residual[rows][means] ** 2))
+            free += float(np.sum(freedom[rows][means]))
+    return squares, free
+
+
+def test_an_effect_that_is_left_alone_must_count_by_itself() -> None:
+    model = healthy("hemisphere")
+    best = best_of_each(model.screener, model.candidates)[0]
+    assert best.log_evidence < MARGIN
+    with mock.patch("gyro_calib.gap.select._pair", return_value=[best.candidate]):
+        assert select_effects(model).effects == ()

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from table_samples import looked_at, on_a_table
 
 from gyro_calib.gap.diagnose import diagnose
@@ -70,6 +71,17 @@ def test_a_swing_in_one_recording_is_a_disturbance() -> None:
     first, *rest = flows(np.random.default_rng(2))
     loud = with_more(first, "amplitude", 1e-3 * np.sin(2 * np.pi * 0.7 * ROW_S * np.arange(ROWS)))
     assert find_swing([loud, *rest]) is None
+
+
+def test_a_resonance_that_wanders_does_not_swing() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        wander = [lfilter([0.03], [1.0, -0.97], 1e-3 * np.cumsum(rng.standard_normal(ROWS))) for _ in range(15)]
+        kinds = [replace(f, kind=("ftr_x", float(k // 3), False)) for k, f in enumerate(flows(rng, 15))]
+        of_seed = [with_more(f, "frequency", w) for f, w in zip(kinds, wander, strict=True)]
+        # images of this carrier leave but a few of the low bins, all of them loud
+        still = [replace(f, carrier_hz=4998.84, rate={c: x[:1000] for c, x in f.rate.items()}) for f in of_seed]
+        assert find_swing(still) is None
 
 
 def test_an_image_of_the_carrier_is_no_swing() -> None:

@@ -20,12 +20,12 @@ from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
 from .followed import followed_of
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, knows_its_resonance, linear_columns, linear_of, span_k, target_of
-from .noise import PlainNoise, first_noise, measured_noise, plain_noise, with_repeats
+from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasured, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
 from .rate_table import in_time, rate_columns, steps_of
-from .saturated import columns_of_time, effect_columns, open_drive, saturated_columns
+from .saturated import columns_of_time, counting, effect_columns, open_drive, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
@@ -207,8 +207,8 @@ def _weighed(
     whitener = Whitener.of(evidence, noise, excess)
     target = target_of(evidence, angular_gain)
     family = _random_family(evidence)
-    of_time = [*held, *columns_of_time(candidates), *effect_columns([*straight, *strangers])]
-    shares = _random_shares(evidence, family, [allowed, of_time], whitener, whitener.rows(target))
+    going = [*columns_of_time(candidates), *effect_columns([*straight, *strangers])]
+    shares = _random_shares(evidence, family, [allowed, [*held, *going]], whitener, whitener.rows(target))
     # what wanders is the temperature: its sensor errs in the same share; a part of it may stand in the noise of means
     shares["wander"] = min(math.hypot(shares["shift"], _wander_of_means(evidence, noise) / most_rad_s), 1.0)
     sized = with_shares(
@@ -218,6 +218,12 @@ def _weighed(
     )
     # once the drifts have their size, repeats have the freedom to say how far a mean errs by itself
     noise = with_repeats(evidence, with_shares(allowed, family, shares), noise, excess, target)
+    # and what effects by the score take of that freedom, those that may be there leave
+    screener = Screener(Whitener.of(evidence, noise, excess), sized, target)
+    there = counting(screener, [*(c for tried in candidates.values() for c in tried), *turned, *strange])
+    named = {name: tried for name, tried in candidates.items() if name in there}
+    lean = saturated_columns(evidence, linear, sized, named, [c for c in [*turned, *strange] if c.name in there])
+    noise = remeasured(evidence, [*lean, *going], noise, excess, angular_gain)
     return Whitener.of(evidence, noise, excess), noise, excess, sized
 
 

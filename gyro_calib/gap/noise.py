@@ -25,7 +25,7 @@ from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
 from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Stack, Whitener, solve
 
-__all__ = ["PlainNoise", "first_noise", "measured_noise", "plain_noise", "with_repeats"]
+__all__ = ["PlainNoise", "first_noise", "measured_noise", "plain_noise", "remeasured", "with_repeats"]
 
 ComplexArray = NDArray[np.complex128]
 Key = tuple[str, str]
@@ -48,6 +48,8 @@ _GAIN_SHARE = 0.01
 _FLOOR, _STEADY_FLOOR, _FEWEST_SQUARES = 0.3, 0.75, 40
 #: differences between repeated records that say how much their means differ by; as many of all channels count for one's own; rounds
 _FEWEST_REPEATS, _BELIEVED_REPEATS, _REPEAT_ROUNDS = 4, 8.0, 3
+#: rounds in which a model that is no richer than it need be tells the noise, where it leaves more than is believed, by so many sd
+_LEAN_ROUNDS, _LOUDER = 2, 2.0
 
 
 def first_noise(evidence: CampaignEvidence) -> dict[Key, NoiseLaw]:
@@ -239,7 +241,8 @@ def _from_residuals(
     out = {}
     for (role, channel), law in found.items():
         parent = found.get((parents.get(role, role), channel))
-        out[role, channel] = law if parent is None or parent is law else law.not_below(parent)
+        known = sum(len(s) for s in squares[role, channel]) >= _FEWEST_SQUARES
+        out[role, channel] = law if parent is None or parent is law or known else law.not_below(parent)
     return out
 
 
@@ -305,6 +308,45 @@ def with_repeats(
             raised[key] = replace(noise[key], mean=max(noise[key].mean + more, 0.0))
         noise = raised
     return noise
+
+
+def remeasured(
+    evidence: CampaignEvidence, columns: Sequence[Column], noise: NoiseByRole, excess: Excess, angular_gain: float
+) -> NoiseByRole:
+    """Noise of kinds of which a model that is no richer than it need be leaves more than is believed, and of the means.
+
+    Of a wave's frequency it stays: its walk is steep, and a model that tells its slow part by itself leaves the walk too small.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    columns : sequence of Column
+        Nuisances at their sizes, and the effects that may be there.
+    noise, excess : mapping
+        As the saturated model has them: of effects by the score it cannot tell a floor of a few lines, and repeats have no freedom there.
+    angular_gain : float
+    """
+    target, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
+    stack = Stack(tuple(columns))
+    for _ in range(_LEAN_ROUNDS):
+        solution = _solved(evidence, stack, noise, target, excess)
+        found = _from_residuals(evidence, stack, solution, noise, quiet)
+        left = _left_at_lines(evidence, solution)
+        louder = {key for key, (square, free) in left.items() if square > free + _LOUDER * np.sqrt(2.0 * free)} - {STEADY, WARMING}
+        noise = {key: replace(found[key], mean=law.mean) if key in louder else law for key, law in noise.items()}
+    return with_repeats(evidence, columns, noise, excess, target)
+
+
+def _left_at_lines(evidence: CampaignEvidence, solution: Solution) -> dict[Key, tuple[float, float]]:
+    """Of kinds that have many signal lines beside the means: the sum of squares in units of their noise, and what is expected of it."""
+    freedom = np.clip(1.0 - np.sum(solution.basis**2, axis=1), 0.0, 1.0)
+    left: dict[Key, list[float]] = defaultdict(lambda: [0.0, 0.0])
+    for _, r, _, _, channel, rows in _parts(evidence):
+        lines = ~r.lines(channel).is_mean
+        of_kind = left[r.noise_key(channel)]
+        of_kind[0] += float(np.sum(solution.residual[rows][lines] ** 2))
+        of_kind[1] += float(np.sum(freedom[rows][lines]))
+    return {key: (square, free) for key, (square, free) in left.items() if free >= _FEWEST_SQUARES}
 
 
 def _repeated(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole) -> dict[Key, tuple[float, float, float]]:

@@ -90,10 +90,15 @@ class NoiseLaw:
         total[np.diag_indices_from(total)] = densities
         return np.asarray(total)
 
-    def slow(self, lines: Lines) -> FloatArray:
-        """What of the density goes on from record to record: flicker, walk, and what means differ by."""
+    @property
+    def slow_part(self) -> NoiseLaw:
+        """What of the noise goes on from record to record: flicker, walk, and what means differ by."""
         _, flicker, _, walk = self.coefficients
-        return replace(self, coefficients=(0.0, flicker, 0.0, walk)).density(lines)
+        return replace(self, coefficients=(0.0, flicker, 0.0, walk))
+
+    def slow(self, lines: Lines) -> FloatArray:
+        """Density of the slow part."""
+        return self.slow_part.density(lines)
 
     def times(self, factor: float) -> NoiseLaw:
         """The law of a noise that is so much larger in power."""
@@ -116,7 +121,7 @@ class NoiseLaw:
         return NoiseLaw((white, flicker, pickoff, walk), max(self.mean, other.mean))
 
 
-def fit_law(basis: FloatArray, squares: FloatArray, *, slow: bool = True) -> NoiseLaw:
+def fit_law(basis: FloatArray, squares: FloatArray, *, slow: bool = True, capped: bool = True) -> NoiseLaw:
     """Non-negative coefficients by the Whittle likelihood; a term beyond white is kept only when the data ask for it.
 
     Parameters
@@ -127,8 +132,10 @@ def fit_law(basis: FloatArray, squares: FloatArray, *, slow: bool = True) -> Noi
         Squared projections, each chi-square with one degree of freedom.
     slow : bool
         Whether there may be flicker and walk.
+    capped : bool
+        Whether what is far above its neighbours' median is an outlier; the end of a steep spectrum is, too.
     """
-    squares = _without_outliers(basis[:, 2], squares)
+    squares = _without_outliers(basis[:, 2], squares) if capped else squares
     best, best_score = np.zeros(4), np.inf
     for terms in _TERMS if slow else _FAST_TERMS:
         coefficients = np.zeros(4)

@@ -12,12 +12,14 @@ from .column import Column
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .parts import Linear
-from .screen import Candidate
+from .screen import Candidate, Screener
 
-__all__ = ["columns_of_time", "effect_columns", "is_of_time", "open_drive", "saturated_columns", "with_twins"]
+__all__ = ["columns_of_time", "counting", "effect_columns", "is_of_time", "open_drive", "saturated_columns", "with_twins"]
 
 #: of the settings of a gridded effect, how many are held
 _SETTINGS = 4
+#: log evidence from which on an effect may be what repeated records differ by: half of what names it
+_COUNTS = 5.0
 #: columns over equations, at most
 _SATURATION = 0.5
 #: how much of a drive or of a reading a limiter or a dead zone may take, sd
@@ -65,6 +67,11 @@ def is_of_time(name: str) -> bool:
 def columns_of_time(candidates: Mapping[str, Sequence[Candidate]]) -> list[Column]:
     """Effects that need but time to show: what drifts slowly is like them."""
     return effect_columns([c for name, tried in candidates.items() if is_of_time(name) for c in _some(tried)])
+
+
+def counting(screener: Screener, candidates: Iterable[Candidate]) -> set[str]:
+    """Names of effects and of unnamed terms that may be there: what repeats differ by need not be noise."""
+    return {found.name for found in screener.screened(candidates) if found.log_evidence > _COUNTS}
 
 
 def open_drive(evidence: CampaignEvidence) -> bool:

@@ -222,7 +222,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [
-            (len(effects) == 1 or _enough(e, largest))
+            _enough(e, largest if len(effects) > 1 else 0.0)
             and seen_at_rest(model, effects, e)
             and told_by_several(model, e, [o.candidate for o in effects if o is not e])
             for e in effects

@@ -122,11 +122,20 @@ def _spectra(flows: Sequence[FlowLeft], channel: str) -> list[_Spectrum]:
         held = [_hears(flow, f) for f, flow in zip(frequencies, members, strict=True)]
         if sum(int(h.sum()) for h in held) < _FEWEST_BINS:
             continue
-        basis = _basis(np.concatenate([f[h] for f, h in zip(frequencies, held, strict=True)]))
-        law = np.array(fit_law(basis, np.concatenate([p[h] for p, h in zip(powers, held, strict=True)])).coefficients)
+        law = _floor(*(np.concatenate([x[h] for x, h in zip(of_all, held, strict=True)]) for of_all in (frequencies, powers)))
         for p, f, h, flow in zip(powers, frequencies, held, members, strict=True):
             found.append(_Spectrum(1.0 / flow.duration_s, np.where(h, p / (_basis(np.maximum(f, 1e-9)) @ law), np.nan)))
     return found
+
+
+def _floor(f: FloatArray, power: FloatArray) -> FloatArray:
+    """Coefficients of the floor over its basis: as bins tell that are no swing's, its slow part as all of them do.
+
+    A resonance that wanders shows in the two or three lowest bins alone, which are as far above the others as a swing: a healthy
+    hemisphere swung every 2.2 s by 90 of log evidence.
+    """
+    basis = _basis(f)
+    return np.array(fit_law(basis, power).not_below(fit_law(basis, power, capped=False).slow_part).coefficients)
 
 
 def _basis(f: FloatArray) -> FloatArray:
