@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from added_effects import with_effects
 
 from gyro_calib.device import Device, draw_unit, load_device
 from gyro_calib.effects import EFFECTS
@@ -16,6 +17,7 @@ from gyro_calib.gap import diagnose
 from gyro_calib.gap.anonymous import anonymous_candidates
 from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.evidence import CampaignEvidence
+from gyro_calib.gap.floors import course_beside_floors
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import frequency_columns, linear_columns
 from gyro_calib.gap.model import CampaignModel, look_at
@@ -26,6 +28,7 @@ from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import with_temperature
+from gyro_calib.gap.slow import slow_drifts
 from gyro_calib.gap.strangers import CHANGES, bank_terms, one_change_of_another_kind, worth_of
 from gyro_calib.gap.system import NoiseByRole, Whitener, solve
 from gyro_calib.gap.thermometer import own_columns, own_detuning_rad_s, thermometer_columns
@@ -118,6 +121,18 @@ def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() ->
     size, sd = max(found[0].sizes().values(), key=lambda pair: abs(pair[0] / pair[1]))
     assert abs(size) == pytest.approx(5e-4, abs=0.05 * 5e-4 + 4.0 * sd)
     assert select_effects(model).stranger is not None
+
+
+def test_a_floor_does_not_grow_until_it_holds_a_step() -> None:
+    model = model_of(clean())
+    drifts = slow_drifts(model.evidence, model.linear)
+    assert course_beside_floors(model.courses, model.whitener, model.target, model.nuisances, drifts) is None
+    steps = [k for k, (form, _) in enumerate(model.courses.forms) if "another from" in form]
+    step = model.courses._candidate(steps[len(steps) // 2], 0).columns[1]
+    stepped = with_effects(model, [step], 40.0)
+    found = course_beside_floors(stepped.courses, stepped.whitener, stepped.target, stepped.nuisances, drifts)
+    assert found is not None
+    assert "another from" in found.name
 
 
 def test_a_split_that_steps_between_recordings_is_dynamics_in_quadrature() -> None:

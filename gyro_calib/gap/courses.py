@@ -35,13 +35,16 @@ _SHORTEST_S, _FINER, _LONGEST = 15.0, 0.5, 0.5
 _SETTLING_S = (2.0, 5.0, 15.0)
 #: size of an unnamed course over the gain or the damping that it changes, sd: one of order one would wipe out an axis that holds but noise
 _SIZE = 0.01
-#: where, in which phase, and of what shape, each an unknown: of an axis, of both alike, of what makes one axis unlike the other
+#: where, in which phase, and of what shape, each an unknown: of an axis, of both alike, of what makes one axis unlike the other,
+#: of a rate
 _AXES, _ALIKE, _SPLIT = (np.diag([1.0, 0.0]), np.diag([0.0, 1.0])), (np.eye(2),), (np.diag([1.0, -1.0]), np.eye(2)[::-1])
+_CROSSED = (np.array([[0.0, -1.0], [1.0, 0.0]]),)
 _PLACES = (
     *((location, phase, _AXES) for location in ("drive", "pick-off") for phase in ("in phase", "in quadrature")),
     ("dynamics", "in phase", _ALIKE),
     ("dynamics", "in phase", _SPLIT),
     ("dynamics", "in quadrature", _SPLIT),
+    ("dynamics", "in phase", _CROSSED),
 )
 
 
@@ -97,7 +100,7 @@ class Courses:
         if found is None:
             return None
         location, phase, shape = _PLACES[best.place]
-        form = self.forms[best.course][0] + (", other on each axis or crossed" if shape is _SPLIT else "")
+        form = self.forms[best.course][0] + _of_shape(shape)
         return replace(found, gain=best.gain, rank=best.rank), Anonymous(location, phase, form, "time")
 
     def _worths(self, screener: Screener, whitener: Whitener) -> Iterator[_Worth]:
@@ -128,6 +131,12 @@ class Courses:
                 columns.append(Column(f"c_{len(columns)}", signal, quiet))
         form, choices = self.forms[course]
         return Candidate(f"{_PLACES[place][0]} {form}", {}, tuple(columns), np.full(len(columns), _SIZE), choices)
+
+
+def _of_shape(shape: tuple[FloatArray, ...]) -> str:
+    if shape is _SPLIT:
+        return ", other on each axis or crossed"
+    return ", crossed" if shape is _CROSSED else ""
 
 
 def _sides(columns: Sequence[Column]) -> tuple[list[ComplexArray], list[ComplexArray]]:

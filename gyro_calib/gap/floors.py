@@ -1,10 +1,14 @@
-"""Whether floors that are larger than they were measured explain what goes with time as well.
+"""Whether floors explain what goes with time, and whether what goes with time explains the floors.
 
 Floors are measured beside everything that goes with time, for an effect must not pass for one. So a campaign whose floor happens to move
 along a straight line has it measured too small, and the line is an effect: stray volts of a clean ring (seed 2101, 48) were taken to be a
 third of what they were, and their drift of six such sizes for a stiffness that moves. Both must be asked: the likelihood of larger floors
 without the effect against its evidence beside small ones. A true drift is none of theirs: of the sixteen slow cosines of a family it moves
 the first two alone, and floors as large as that would move the others.
+
+And a gain that steps once is a sum of slow cosines, so a family whose size the data tell grows until it holds the step: a drive of the
+practice hemisphere that had one of 20 times the noise was a floor ten times as large. So a course of time is asked beside floors of the
+size that they have with it.
 """
 
 from __future__ import annotations
@@ -12,16 +16,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from .column import Column
+from .courses import Courses
 from .saturated import effect_columns, is_of_time
-from .screen import Candidate, Screened
-from .sizes import gained_by_resizing
+from .screen import Candidate, Screened, Screener, worth
+from .sizes import gained_by_resizing, gained_by_sizing
 from .slow import drift_family, slow_drifts
-from .system import solve
+from .system import Whitener, solve
 
 if TYPE_CHECKING:
     from .model import CampaignModel
 
-__all__ = ["beat_their_floors", "louder_floors"]
+__all__ = ["beat_their_floors", "course_beside_floors", "louder_floors"]
+
+#: log evidence of a course of time against floors alone: what any effect must have, and the choice among its places
+_MARGIN = 12.0
 
 
 def louder_floors(model: CampaignModel, others: Sequence[Candidate]) -> float:
@@ -46,3 +58,36 @@ def beat_their_floors(model: CampaignModel, effects: Sequence[Screened]) -> bool
     of_time = sum(e.log_evidence for e in effects if is_of_time(e.name))
     others = [e.candidate for e in effects if not is_of_time(e.name)]
     return len(others) == len(effects) or of_time > louder_floors(model, others)
+
+
+def course_beside_floors(
+    courses: Courses, whitener: Whitener, target: Sequence[NDArray[np.complex128]], nuisances: Sequence[Column], drifts: Sequence[Column]
+) -> Candidate | None:
+    """The course of time that is likelier, with floors as large as they are beside it, than floors alone are.
+
+    Parameters
+    ----------
+    courses : Courses
+    whitener : Whitener
+    target : sequence of ndarray, complex
+        Left-hand sides by recording.
+    nuisances : sequence of Column
+        Drifts among them are left out.
+    drifts : sequence of Column
+        Floors at their largest.
+    """
+    steady = [c for c in nuisances if not drift_family(c)]
+    course = courses.best(Screener(whitener, steady, target), whitener)
+    if course is None or course[0].gain < 2.0 * _MARGIN:
+        return None
+    found = course[0]
+    alone, beside = (_likelihood(whitener, target, [*steady, *more], drifts) for more in ([], effect_columns([found.candidate])))
+    price = worth(0.0, found.rank, found.candidate.choices)
+    return found.candidate if beside - alone + price > _MARGIN else None
+
+
+def _likelihood(whitener: Whitener, target: Sequence[NDArray[np.complex128]], columns: Sequence[Column], drifts: Sequence[Column]) -> float:
+    """Log likelihood of columns beside floors of the sizes that are likeliest with them."""
+    whole = [*columns, *drifts]
+    solution = solve(whole, whitener.design(whole, len(target)), whitener.rows(target))
+    return gained_by_sizing(solution, drift_family) - 0.5 * Screener(whitener, columns, target).chi2

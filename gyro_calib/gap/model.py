@@ -18,6 +18,7 @@ from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
+from .floors import course_beside_floors
 from .followed import followed_of
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, knows_its_resonance, linear_columns, linear_of, span_k, target_of
 from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasured, with_repeats
@@ -169,13 +170,18 @@ def look_at(
     courses = courses_of(evidence, linear)
     report(0.75, "noise")
     plain = plain_noise(evidence, nuisances, angular_gain)
-    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, candidates, bank, angular_gain, most, plain)
+    drifts = slow_drifts(evidence, linear)
+    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     course = courses.best(screener, whitener)
+    # what goes with time is no noise of repeats, nor a floor
     if course is not None and worth(course[0].gain, course[0].rank, course[0].candidate.choices) > _COURSE:
-        # what repeats differ by is then no noise
+        candidate: Candidate | None = course[0].candidate
+    else:
+        candidate = course_beside_floors(courses, whitener, target_of(evidence, angular_gain), held, drifts)
+    if candidate is not None:
         whitener, noise, excess, held = _weighed(
-            evidence, linear, nuisances, candidates, bank, angular_gain, most, plain, [course[0].candidate]
+            evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, [candidate]
         )
         screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
@@ -187,6 +193,7 @@ def _weighed(
     evidence: CampaignEvidence,
     linear: Linear,
     nuisances: Sequence[Column],
+    drifts: Sequence[Column],
     candidates: Mapping[str, Sequence[Candidate]],
     bank: Sequence[tuple[Anonymous, Candidate]],
     angular_gain: float,
@@ -200,7 +207,7 @@ def _weighed(
     strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting]
     # whether the registry has a name for a drift or not, a floor is what does not go along a straight line
     straight = [c for a, c in bank if a.depends_on == "time"]
-    held = [*nuisances, *slow_drifts(evidence, linear)]
+    held = [*nuisances, *drifts]
     allowed = [*saturated_columns(evidence, linear, held, candidates, [*turned, *strange, *straight]), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)

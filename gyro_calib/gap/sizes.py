@@ -20,13 +20,13 @@ from scipy.linalg import cho_factor, cho_solve
 from .column import Column
 from .system import Solution
 
-__all__ = ["Family", "gained_by_resizing", "measured_shares", "with_shares"]
+__all__ = ["Family", "gained_by_resizing", "gained_by_sizing", "measured_shares", "with_shares"]
 
 FloatArray = NDArray[np.float64]
 #: family of a column; "" for none
 Family = Callable[[Column], str]
 _SIZES = np.concatenate([[1e-4], np.geomspace(1e-3, 1.0, 25)])
-_ROUNDS = 4
+_ROUNDS, _FIRST = 4, 0.03
 #: by how much a measured share may be too small
 _MOST_TOO_SMALL = 4.0
 
@@ -42,7 +42,7 @@ def measured_shares(solution: Solution, family: Family) -> dict[str, float]:
         Family of a column, or "".
     """
     families, data, told = _told(solution, family)
-    sizes = _likeliest(families, data, told, dict.fromkeys(families, 0.03))
+    sizes = _likeliest(families, data, told, dict.fromkeys(families, _FIRST))
     return {name: _expected(_scores(data, told, families, sizes, name)) for name in sizes}
 
 
@@ -67,6 +67,20 @@ def gained_by_resizing(solution: Solution, family: Family, shares: Mapping[str, 
     largest = {name: _MOST_TOO_SMALL * share for name, share in shares.items()}
     likeliest = _likeliest(families, data, told, dict(shares), largest)
     return max(_likelihood(data, told, families, likeliest) - _likelihood(data, told, families, shares), 0.0)
+
+
+def gained_by_sizing(solution: Solution, family: Family) -> float:
+    """Log likelihood that families gain by being as large as this fit makes likeliest, over being nothing.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a fit that held the families' columns at their largest.
+    family : callable
+        Family of a column, or "".
+    """
+    families, data, told = _told(solution, family)
+    return _likelihood(data, told, families, _likeliest(families, data, told, dict.fromkeys(families, _FIRST))) if families else 0.0
 
 
 def _told(solution: Solution, family: Family) -> tuple[list[str], FloatArray, FloatArray]:
