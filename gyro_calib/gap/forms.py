@@ -32,7 +32,7 @@ _UNLIKE: dict[str, ComplexArray] = {
 _STEP = 1e-4
 #: share of the wave below which an axis rests
 AT_REST = 3e-3
-_LIMITS = 1.0 - np.array([0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04, 0.025, 0.015, 0.008, 0.004, 1.5e-3, 6e-4, 2e-4, 8e-5])
+_LIMITS = 1.0 - np.concatenate([[0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04], np.geomspace(0.025, 8e-5, 12)])
 _COARSE = np.geomspace(0.4, 4.0, 10)
 #: a dead zone that is small against the drive acts in proportion to its level: a coarse grid tells it
 _DEAD = np.concatenate([[2e-6, 8e-6, 3e-5], np.geomspace(1e-4, 0.4, 14)])

@@ -21,6 +21,7 @@ from .one_recording import told_by_several
 from .relinearise import relinearised
 from .saturated import is_of_time, with_twins
 from .screen import Candidate, Screened, Screener
+from .settings_together import settled_together
 from .strangers import (
     BANK_MARGIN,
     LEAST_GAIN,
@@ -162,6 +163,7 @@ def select_effects(model: CampaignModel) -> Selection:
         chosen = _pair(model, first)
     chosen = _improved(model, chosen, largest)
     chosen = [_refined(model, model.screener_with(_without(chosen, k)), c) for k, c in enumerate(chosen)]
+    chosen = settled_together(model, chosen)
     chosen, effects = _settled(model, chosen, largest)
     _, effects = _or_exact_level(model, chosen, effects)
     chosen, effects = _named_all_the_same(model, [e.candidate for e in effects], effects)

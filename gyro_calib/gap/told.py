@@ -17,6 +17,7 @@ from ..quantity import Quantity
 from .candidates import registry_name
 from .model import CampaignModel
 from .screen import Screened, Screener
+from .settings_together import places_of, with_slopes
 from .system import Solution
 
 __all__ = ["told_sizes"]
@@ -49,7 +50,13 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
     """
     e = effects[k]
     units = {p.name: p.unit for p in EFFECTS[registry_name(e.name, e.candidate.setting)].parameters}
-    settled = {key: _settled(model, effects, k, key) for key in e.candidate.setting if key in units}
+    chosen = [other.candidate for other in effects]
+    places = places_of(chosen)
+    # settings that hold one another and all sizes: of one fit
+    covariance = (with_slopes(model, chosen, places, rich) if places else rich).covariance
+    joint = {key: len(rich.columns) + j for j, (place, key) in enumerate(places) if place == k}
+    settled = {key: _settled(model, effects, k, key) for key in e.candidate.setting if key in units and key not in joint}
+    settled |= {key: _Settled(math.sqrt(covariance[j, j]) * abs(e.candidate.setting[key]), {}) for key, j in joint.items()}
     healthy = {c.name: c.prior_sd for c in model.nuisances if math.isfinite(c.prior_sd)}
     fitted = {c.name: j for j, c in enumerate(rich.columns)}
     told = {}
@@ -57,7 +64,7 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
         if column.name not in units and column.name != "share":
             continue
         place = fitted[f"{e.name}.{column.name}"]
-        parts = [math.sqrt(float(rich.covariance[place, place])), healthy.get(f"{e.name}.{column.name}", 0.0)]
+        parts = [math.sqrt(float(covariance[place, place])), healthy.get(f"{e.name}.{column.name}", 0.0)]
         if e.name != "thermal_lag":
             parts += [s.slopes.get(column.name, 0.0) * s.sd for s in settled.values()]
         told[column.name] = Quantity(float(rich.values[place]), math.hypot(*parts), units.get(column.name, "1"))

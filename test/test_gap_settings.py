@@ -1,0 +1,91 @@
+"""Settings of the effects' grids: levels near the top, and the times of two effects that only their times tell apart."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from gyro_calib.gap.column import Column
+from gyro_calib.gap.forms import FORMS, _clipped
+from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.screen import Candidate
+from gyro_calib.gap.select import _ROUGH_SHARES
+from gyro_calib.gap.settings_together import places_of, settled_together, with_slopes
+from gyro_calib.gap.system import Solution, Whitener, solve
+
+ROWS, DRAWS, SIGMAS = 80, 60, 1.96
+T_S = np.linspace(0.0, 90.0, ROWS)
+WHITE = Whitener(((np.eye(ROWS), np.eye(ROWS)),))
+DRIVE, PICKOFF = "thermal_drive_gain_lag", "thermal_pickoff_gain_lag"
+TRUE_TAUS = {DRIVE: 28.0, PICKOFF: 20.0}
+
+
+@pytest.mark.parametrize("beyond", np.geomspace(2.2e-4, 0.2, 40))
+def test_some_level_of_the_grid_has_a_share_that_a_level_can_have(beyond: float) -> None:
+    """Noise makes one recording's amplitude the largest: what lies beyond a level changes faster than its distance from that one."""
+    amplitudes = np.array([*[0.7] * 40, *[1.0 - 9e-5] * 40, 1.0])
+    recorded = [SimpleNamespace(pick=np.full((200, 2), a, dtype=complex)) for a in amplitudes]
+    true = _clipped(amplitudes.astype(complex), 1.0 - beyond)
+    shares = []
+    for setting in FORMS["pickoff_saturation"].settings(recorded):  # type: ignore[arg-type]
+        form = _clipped(amplitudes.astype(complex), setting["level"])
+        if np.any(form):
+            shares.append(float((form.conj() @ true).real / (form.conj() @ form).real))
+    low, high = _ROUGH_SHARES
+    assert any(low < share < high for share in shares), shares
+
+
+class Toy:
+    """One recording: what lags in the drives less nearly the same that lags in the pick-offs, each with a size of its own."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.evidence = [None]
+        self.whitener = WHITE
+        rows = 4000.0 * self.shape(DRIVE, TRUE_TAUS[DRIVE]) - 3000.0 * self.shape(PICKOFF, TRUE_TAUS[PICKOFF])
+        self.target = [(rows + rng.standard_normal(ROWS)).astype(complex)]
+
+    @staticmethod
+    def shape(name: str, tau_s: float) -> np.ndarray:
+        late = np.exp(-T_S / tau_s)
+        return late * (1.0 + 0.4 * T_S / 90.0) if name == PICKOFF else late
+
+    def candidate(self, name: str, setting: Any) -> Candidate:
+        column = Column("g", (self.shape(name, setting["tau"]).astype(complex),), (np.zeros(0, dtype=complex),))
+        return Candidate(name, setting, (column,), np.array([np.inf]), 5)
+
+    def fitted(self, chosen: list[Candidate]) -> Solution:
+        columns = [Column(f"{c.name}.g", c.columns[0].signal, ()) for c in chosen]
+        return solve(columns, WHITE.design(columns, 1), WHITE.rows(self.target))
+
+    def at(self, *taus: float) -> list[Candidate]:
+        return [self.candidate(name, {"tau": float(tau)}) for name, tau in zip((DRIVE, PICKOFF), taus, strict=True)]
+
+
+def test_two_times_are_found_together_and_their_intervals_hold_the_truth() -> None:
+    rng = np.random.default_rng(8)
+    hit = dict.fromkeys(TRUE_TAUS, 0)
+    for _ in range(DRAWS):
+        toy = Toy(rng)
+        model = cast(CampaignModel, toy)
+        begun = toy.at(36.0, 14.0)
+        found = settled_together(model, begun)
+        fit = toy.fitted(found)
+        best = minimize(lambda x, toy=toy: toy.fitted(toy.at(*np.exp(x))).chi2, np.log(list(TRUE_TAUS.values())), method="Nelder-Mead")
+        assert fit.chi2 < best.fun + 0.05 < toy.fitted(begun).chi2
+        places = places_of(found)
+        sd_log = np.sqrt(np.diag(with_slopes(model, found, places, fit).covariance)[-2:])
+        for (k, key), sd in zip(places, sd_log, strict=True):
+            tau, name = found[k].setting[key], found[k].name
+            hit[name] += abs(tau - TRUE_TAUS[name]) < SIGMAS * sd * tau
+    assert all(count / DRAWS > 0.88 for count in hit.values()), hit
+
+
+def test_what_has_no_second_setting_stays_as_it_is() -> None:
+    toy = Toy(np.random.default_rng(1))
+    alone = toy.at(36.0, 14.0)[:1]
+    assert places_of(alone) == []
+    assert settled_together(cast(CampaignModel, toy), alone) == alone
