@@ -208,7 +208,7 @@ def test_an_effect_may_count_between_two_settings_alone() -> None:
         ranked = best_of_each(screener, {"spurious_mode": model.candidates["spurious_mode"]})
         return ranked, _between_settings(replace(model, screener=screener), ranked)
 
-    (grid,), (between,) = best(7.0)
+    (grid,), (between,) = best(7.4)
     assert grid.log_evidence < MARGIN < between.log_evidence
     assert between.candidate.setting["separation_hz"] == pytest.approx(1.4, rel=0.1)
     faint, same = best(5.0)

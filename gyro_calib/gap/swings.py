@@ -26,8 +26,12 @@ __all__ = ["Swing", "find_swing"]
 FloatArray = NDArray[np.float64]
 #: bins about the mean, harmonics of a wave's turning and bins about those of a side band that belong to the signal; highest [Hz]
 _LEAST_BINS, _HARMONICS, _SKIRT_BINS, _HIGHEST_HZ = 4.0, 16.0, 3.0, 12.0
-#: log evidence beyond the search; what a size costs in each record; power over the floor that shows it, and in how many records at least
-_MARGIN, _PRICE, _SHOWN, _FEWEST = 30.0, 2.0, 8.0, 2
+#: log evidence beyond the search (26 healthy campaigns: 1.2); what a size costs in each record; power over the floor that shows it, and in how many records at least
+_MARGIN, _PRICE, _SHOWN, _FEWEST = 20.0, 2.0, 8.0, 2
+#: a swing stands over the bins below it too: lowest bin of a floor, bins about a frequency that are its own, fewest below those in a record
+_LOWEST_BIN, _OWN_BINS, _BELOW = 2.0, 2.0, 2
+#: frequencies of most evidence that are asked so
+_ASKED = 6
 #: a recording shorter than this says nothing [s]; fewest bins of a kind from which its floor is measured
 _SHORTEST_S, _FEWEST_BINS = 3.5, 24
 #: distance of the frequencies that are tried, in bins of the longest record
@@ -69,14 +73,61 @@ class Swing:
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """Power over the floor of one channel of one record, by bin; NaN where it holds signal."""
+    """Power of one channel of one record, by bin, where something may be heard, and where no more than its floor."""
 
     bin_hz: float
-    ratio: FloatArray
+    frequency_hz: FloatArray
+    power: FloatArray
+    heard: NDArray[np.bool_]
+    low: NDArray[np.bool_]
 
-    def at(self, frequency_hz: FloatArray) -> FloatArray:
-        places = np.round(frequency_hz / self.bin_hz).astype(int)
-        return np.where(places < self.ratio.size, self.ratio[np.minimum(places, self.ratio.size - 1)], np.nan)
+    @classmethod
+    def of(cls, flow: FlowLeft, channel: str) -> _Spectrum:
+        """Of what a channel of a record leaves."""
+        power = _power(flow.rate[channel], flow.row_s)
+        frequency_hz = np.arange(power.size) / flow.duration_s
+        heard, low = (_hears(flow, frequency_hz, least) for least in (_LEAST_BINS, _LOWEST_BIN))
+        return cls(1.0 / flow.duration_s, frequency_hz, power, heard, low)
+
+    def beside(self, apart_hz: float | None) -> NDArray[np.bool_]:
+        """Bins of its floor: those about a frequency are not of it where enough are left below."""
+        if apart_hz is None:
+            return self.low
+        own = np.abs(self.frequency_hz - apart_hz) <= _OWN_BINS * self.bin_hz
+        below = self.low & ~own & (self.frequency_hz < apart_hz)
+        return self.low & ~own if int(below.sum()) >= _BELOW else self.low
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Records that share a floor."""
+
+    spectra: tuple[_Spectrum, ...]
+
+    def over_floor(self, grid: FloatArray, apart_hz: float | None) -> list[FloatArray]:
+        """Power over the floor by record, at every frequency of a grid; NaN where it holds signal."""
+        law = self._floor(apart_hz)
+        found = []
+        for s in self.spectra:
+            places = np.minimum(np.round(grid / s.bin_hz).astype(int), s.power.size - 1)
+            there = s.heard[places] & (np.round(grid / s.bin_hz) < s.power.size)
+            found.append(np.where(there, s.power[places] / (_basis(np.maximum(s.frequency_hz[places], 1e-9)) @ law), np.nan))
+        return found
+
+    def _floor(self, apart_hz: float | None) -> FloatArray:
+        """Coefficients of the floor over its basis: as bins tell that are no swing's; ``apart_hz``: its slow part as all others do.
+
+        A resonance that wanders shows in the two or three lowest bins alone, which are as far above the others as a swing: a healthy
+        hemisphere swung every 2.2 s by 90 of log evidence.
+        """
+        law = fit_law(*self._bins([s.heard for s in self.spectra]))
+        if apart_hz is not None:
+            law = law.not_below(fit_law(*self._bins([s.beside(apart_hz) for s in self.spectra]), capped=False).slow_part)
+        return np.array(law.coefficients)
+
+    def _bins(self, which: Sequence[NDArray[np.bool_]]) -> tuple[FloatArray, FloatArray]:
+        frequency_hz = np.concatenate([s.frequency_hz[w] for s, w in zip(self.spectra, which, strict=True)])
+        return _basis(frequency_hz), np.concatenate([s.power[w] for s, w in zip(self.spectra, which, strict=True)])
 
 
 def find_swing(flows: Sequence[FlowLeft]) -> Swing | None:
@@ -92,50 +143,45 @@ def find_swing(flows: Sequence[FlowLeft]) -> Swing | None:
     step = _STEP_BINS / max(flow.duration_s for flow in long_enough)
     grid = np.arange(step, _HIGHEST_HZ, step)
     searched = math.log(len(CHANNELS) * grid.size)
-    found = [swing for channel in CHANNELS if (swing := _of_channel(_spectra(long_enough, channel), grid, channel, searched)) is not None]
+    found = [swing for channel in CHANNELS if (swing := _of_channel(_kinds(long_enough, channel), grid, channel, searched)) is not None]
     return max(found, key=lambda swing: swing.log_evidence, default=None)
 
 
-def _of_channel(spectra: Sequence[_Spectrum], grid: FloatArray, channel: str, searched: float) -> Swing | None:
-    if not spectra:
-        return None
-    ratio = np.stack([s.at(grid) for s in spectra])
+def _of_channel(kinds: Sequence[_Kind], grid: FloatArray, channel: str, searched: float) -> Swing | None:
+    """The frequency of most evidence that stands over the floor of the bins on both of its sides."""
+    evidence, _ = _told(kinds, grid)
+    for _ in range(_ASKED):
+        best = int(np.argmax(evidence)) if evidence.size else 0
+        if not evidence.size or evidence[best] - searched <= _MARGIN:
+            return None
+        asked, shown = _told(kinds, grid[best : best + 1], apart_hz=float(grid[best]))
+        beyond = float(asked[0]) - searched
+        if beyond > _MARGIN:
+            return Swing(channel, float(grid[best]), beyond, int(shown[0]))
+        evidence[max(best - 1, 0) : best + 2] = -np.inf
+    return None
+
+
+def _told(kinds: Sequence[_Kind], grid: FloatArray, apart_hz: float | None = None) -> tuple[FloatArray, NDArray[np.int_]]:
+    """Log evidence at every frequency, and how many records show it."""
+    ratios = [ratio for kind in kinds for ratio in kind.over_floor(grid, apart_hz)]
+    if not ratios:
+        return np.array([]), np.array([], dtype=int)
+    ratio = np.stack(ratios)
     heard = np.isfinite(ratio)
     z = np.where(heard, ratio, 1.0)
     each = np.where(heard, np.maximum(z - 1.0 - np.log(np.maximum(z, 1.0)), 0.0) - _PRICE, 0.0)
     shown = np.sum(heard & (z > _SHOWN), axis=0)
     # one record alone may have been disturbed: it does not count for more than all others
-    evidence = np.where(shown >= _FEWEST, np.sum(each, axis=0) - np.max(each, axis=0), -np.inf)
-    best = int(np.argmax(evidence))
-    beyond = float(evidence[best]) - searched
-    return Swing(channel, float(grid[best]), beyond, int(shown[best])) if beyond > _MARGIN else None
+    return np.where(shown >= _FEWEST, np.sum(each, axis=0) - np.max(each, axis=0), -np.inf), shown
 
 
-def _spectra(flows: Sequence[FlowLeft], channel: str) -> list[_Spectrum]:
-    kinds: dict[tuple[object, ...], list[FlowLeft]] = defaultdict(list)
+def _kinds(flows: Sequence[FlowLeft], channel: str) -> list[_Kind]:
+    of_kind: dict[tuple[object, ...], list[FlowLeft]] = defaultdict(list)
     for flow in flows:
-        kinds[flow.kind].append(flow)
-    found = []
-    for members in kinds.values():
-        powers = [_power(flow.rate[channel], flow.row_s) for flow in members]
-        frequencies = [np.arange(p.size) / flow.duration_s for p, flow in zip(powers, members, strict=True)]
-        held = [_hears(flow, f) for f, flow in zip(frequencies, members, strict=True)]
-        if sum(int(h.sum()) for h in held) < _FEWEST_BINS:
-            continue
-        law = _floor(*(np.concatenate([x[h] for x, h in zip(of_all, held, strict=True)]) for of_all in (frequencies, powers)))
-        for p, f, h, flow in zip(powers, frequencies, held, members, strict=True):
-            found.append(_Spectrum(1.0 / flow.duration_s, np.where(h, p / (_basis(np.maximum(f, 1e-9)) @ law), np.nan)))
-    return found
-
-
-def _floor(f: FloatArray, power: FloatArray) -> FloatArray:
-    """Coefficients of the floor over its basis: as bins tell that are no swing's, its slow part as all of them do.
-
-    A resonance that wanders shows in the two or three lowest bins alone, which are as far above the others as a swing: a healthy
-    hemisphere swung every 2.2 s by 90 of log evidence.
-    """
-    basis = _basis(f)
-    return np.array(fit_law(basis, power).not_below(fit_law(basis, power, capped=False).slow_part).coefficients)
+        of_kind[flow.kind].append(flow)
+    kinds = [_Kind(tuple(_Spectrum.of(flow, channel) for flow in members)) for members in of_kind.values()]
+    return [kind for kind in kinds if sum(int(s.heard.sum()) for s in kind.spectra) >= _FEWEST_BINS]
 
 
 def _basis(f: FloatArray) -> FloatArray:
@@ -148,10 +194,10 @@ def _power(x: FloatArray, row_s: float) -> FloatArray:
     return np.asarray(np.abs(np.fft.rfft(x * window)) ** 2 * row_s / np.sum(window**2))
 
 
-def _hears(flow: FlowLeft, f: FloatArray) -> NDArray[np.bool_]:
-    """Bins that belong neither to the mean, nor to a turning wave, nor to a side band and its harmonics, and where no image stands."""
+def _hears(flow: FlowLeft, f: FloatArray, least_bins: float) -> NDArray[np.bool_]:
+    """Bins from one on that belong neither to a turning wave nor to a side band and its harmonics, and where no image stands."""
     bin_hz = 1.0 / flow.duration_s
-    heard = (f > max(_LEAST_BINS * bin_hz, _HARMONICS * flow.turning_hz)) & (f < _HIGHEST_HZ)
+    heard = (f > max(least_bins * bin_hz, _HARMONICS * flow.turning_hz)) & (f < _HIGHEST_HZ)
     if flow.excited_hz > 0.0:
         heard &= np.abs(f - flow.excited_hz * np.round(f / flow.excited_hz)) > _SKIRT_BINS * bin_hz
     images = is_image(f, flow.carrier_hz, bin_hz) | is_image(-f, flow.carrier_hz, bin_hz)
