@@ -67,6 +67,18 @@ def test_a_swing_stands_at_one_frequency_in_several_recordings(channel: str) -> 
     assert f"to and fro every {1.0 / found.frequency_hz:.3g} s" in found.unknown().form
 
 
+def test_a_swing_does_not_pass_for_its_own_floor() -> None:
+    """In few records a loud swing of a low bin made a floor of 1/f, over which it stood no higher than its neighbours below it."""
+    t = ROW_S * np.arange(ROWS)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        swing = 1e-3 * np.sin(2 * np.pi * 0.7 * t)
+        found = find_swing([with_more(f, "amplitude", swing) for f in flows(rng, 3)])
+        assert found is not None
+        assert found.records == 3
+        assert found.log_evidence > 300.0, "as its power over the noise has it"
+
+
 def test_a_swing_in_one_recording_is_a_disturbance() -> None:
     first, *rest = flows(np.random.default_rng(2))
     loud = with_more(first, "amplitude", 1e-3 * np.sin(2 * np.pi * 0.7 * ROW_S * np.arange(ROWS)))
