@@ -33,17 +33,19 @@ def records(
     carrier_hz: tuple[float, ...] = (15000.0, 15000.3),
     hum: tuple[float, float] = (0.0, 0.0),
     tone: tuple[float, float] = (0.0, 0.0),
+    ripple: tuple[float, float] = (0.0, 0.0),
     gain: float = 0.0,
     clock: float = 0.0,
     of_each: int = 3,
 ) -> list[Recording]:
-    """Held waves of three amplitudes: hum (Hz, V), tone (Hz, V on the pick-off), relative noise of gain and phase per row."""
+    """Held waves of three amplitudes: hum (Hz, V), tone (Hz, V on the pick-off), ripple (Hz, 1), noise of gain and phase per row."""
     found = []
     for k, amplitude in enumerate((0.6, 1.0, 1.4) * of_each):
         count = 5000
         t = 20.0 * k + np.arange(count) / ROWS_HZ
         f = carrier_hz[k % len(carrier_hz)]
         wave = amplitude * (1.0 + gain * rng.standard_normal(count) + 1j * clock * rng.standard_normal(count))
+        wave *= 1.0 + ripple[1] * np.cos(2 * np.pi * ripple[0] * t)
         wave = wave + hum[1] * np.cos(2 * np.pi * hum[0] * t) + tone[1] * np.exp(2j * np.pi * (tone[0] - f) * t)
         noise = NOISE_V * (rng.standard_normal((count, 2)) + 1j * rng.standard_normal((count, 2)))
         rows = np.zeros((count, len(COLUMNS)))
@@ -71,6 +73,22 @@ def test_a_hum_stands_at_one_distance_to_both_sides() -> None:
     assert tone is not None
     assert (tone.name, tone.alike) == ("mains_pickup", ())
     assert tone.frequency_hz == pytest.approx(50.0, abs=0.02)
+
+
+def test_a_gain_that_ripples_is_no_hum() -> None:
+    """A supply's ripple on the pick-offs' gain stands where a hum would, but grows with the wave."""
+    recordings = records(np.random.default_rng(1), ripple=(50.0, 1e-5))
+    tone = find_tone(pick_spectra(recordings), LINEAR)
+    assert tone is not None
+    assert tone.of_wave
+    found = spectral_effects(recordings, LINEAR)
+    assert found.effects == ()
+    assert found.unknown is not None
+    assert "50 Hz" in found.unknown.form
+    assert found.unknown.nearest == "mains_pickup"
+    hum = find_tone(pick_spectra(records(np.random.default_rng(1), hum=(50.0, 1e-5))), LINEAR)
+    assert hum is not None
+    assert not hum.of_wave
 
 
 def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:

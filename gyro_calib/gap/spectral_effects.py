@@ -39,7 +39,7 @@ class SpectralEffects:
     ----------
     effects : tuple of FoundEffect
     unknown : Unknown or None
-        Noise across the phase that grows with the amplitude: a clock.
+        A gain that goes to and fro; noise across the phase that grows with the amplitude, a clock's.
     standings : tuple of Standing
         One line per effect of this kind.
     products : float
@@ -69,16 +69,18 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     spectra = pick_spectra(recordings)
     tone, growth = find_tone(spectra, linear), noise_growth(recordings)
     effects = []
-    if tone is not None and tone.name not in left_out:
+    if tone is not None and tone.name not in left_out and not tone.of_wave:
         effects.append(_tone(tone, left_out))
-    if growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
+    # a line that grows with the wave is all of a floor that does
+    rippling = _rippling_gain(tone)
+    if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
     present = {e.name for e in effects}
     alike = {name: e.name for e in effects for name in e.group[1:]}
     standings = [_standing(name, present, alike, growth, bool(spectra)) for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
     products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
     near = () if tone is None or tone.name != "external_tone" else near_line(recordings, tone.frequency_hz)
-    return SpectralEffects(tuple(effects), _noisy_clock(growth), tuple(standings), products, near)
+    return SpectralEffects(tuple(effects), rippling or _noisy_clock(growth), tuple(standings), products, near)
 
 
 def _tone(tone: Tone, left_out: set[str]) -> FoundEffect:
@@ -112,6 +114,13 @@ def _noisy_gain(growth: NoiseGrowth) -> FoundEffect:
         gain=growth.gain_sigma**2,
         harmless=True,
     )
+
+
+def _rippling_gain(tone: Tone | None) -> Unknown | None:
+    if tone is None or not tone.of_wave:
+        return None
+    form = f"x times a gain that goes to and fro at {tone.frequency_hz:.3g} Hz"
+    return Unknown("drive or pick-off", "in phase", form, "time", tone.name, 2.0 * tone.log_evidence)
 
 
 def _noisy_clock(growth: NoiseGrowth | None) -> Unknown | None:

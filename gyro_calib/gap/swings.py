@@ -26,7 +26,8 @@ __all__ = ["Swing", "find_swing"]
 FloatArray = NDArray[np.float64]
 #: bins about the mean, harmonics of a wave's turning and bins about those of a side band that belong to the signal; highest [Hz]
 _LEAST_BINS, _HARMONICS, _SKIRT_BINS, _HIGHEST_HZ = 4.0, 16.0, 3.0, 12.0
-#: log evidence beyond the search (26 healthy campaigns: 1.2); what a size costs in each record; power over the floor that shows it, and in how many records at least
+#: log evidence beyond the search (26 healthy campaigns came to 1.2 at most); what a size costs in each record; power over the floor that
+#: shows it, and in how many records at least
 _MARGIN, _PRICE, _SHOWN, _FEWEST = 20.0, 2.0, 8.0, 2
 #: a swing stands over the bins below it too: lowest bin of a floor, bins about a frequency that are its own, fewest below those in a record
 _LOWEST_BIN, _OWN_BINS, _BELOW = 2.0, 2.0, 2

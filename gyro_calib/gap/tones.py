@@ -36,6 +36,8 @@ _SHOWN, _FEWEST = 8.0, 2
 _MIRRORED_HZ = 20.0
 #: what a line between two bins is read too small by, at most
 _BETWEEN_BINS = 0.06
+#: a line is the wave's where its power goes with the wave's by so much better than with nothing, if it is another from record to record
+_OF_WAVE, _UNLIKE = 0.5, 0.05
 #: least power of one side band over the other's for both to be those of a hum
 _EVEN = 0.25
 
@@ -57,6 +59,8 @@ class Tone:
     log_evidence : float
     share : float
         Amplitude of the line over the wave's.
+    of_wave : bool
+        Whether it grows with the wave or its drives from record to record: then a gain goes to and fro, and nothing is added.
     """
 
     name: str
@@ -67,6 +71,7 @@ class Tone:
     volts_sd: FloatArray
     log_evidence: float
     share: float
+    of_wave: bool = False
 
 
 def find_tone(spectra: Sequence[PickSpectrum], linear: Linear) -> Tone | None:
@@ -166,7 +171,21 @@ def _told(spectra: Sequence[PickSpectrum], line: _Line, linear: Linear, evidence
         volts_sd=np.hypot(0.5 * scatter / np.sqrt(np.maximum(volts**2, scatter)), _BETWEEN_BINS * volts) + 1e-12,
         log_evidence=evidence,
         share=float(np.median([_share(s.recording, f) for s, f in zip(used, places, strict=True)])),
+        of_wave=hum and _goes_with_the_wave(sizes**2, [s.recording for s in used]),
     )
+
+
+def _goes_with_the_wave(power: FloatArray, recordings: Sequence[Recording]) -> bool:
+    """Whether a hum's power, by record and axis, is that of a gain which swings; of volts that are added it is the same in all records."""
+    left = float(np.sum((power - power.mean(axis=0)) ** 2))
+    if left < _UNLIKE * float(np.sum(power**2)):
+        return False
+    for of in ("pick", "drive"):
+        wave = np.array([np.mean(np.abs(getattr(r, of)) ** 2, axis=0) for r in recordings])
+        slope = np.sum(power * wave, axis=0) / np.maximum(np.sum(wave**2, axis=0), 1e-300)
+        if float(np.sum((power - slope * wave) ** 2)) < _OF_WAVE * left:
+            return True
+    return False
 
 
 def _share(r: Recording, away_hz: float) -> float:
