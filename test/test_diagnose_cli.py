@@ -22,7 +22,7 @@ from gyro_calib.paths import package_version
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.hdf5 import write_campaign_h5
 from gyro_calib.report.gap_page import gap_page
-from gyro_calib.report.gap_tables import status_words
+from gyro_calib.report.gap_tables import effects_table, status_words
 from gyro_calib.report.page import render_page
 from gyro_calib.simulation import GyroSimulator
 
@@ -223,6 +223,12 @@ def test_page_of_every_verdict(verdict):
     assert "6 experiments not shown reach 1.1" in picture.conclusion
     assert ">static_0<" in picture.svg
     assert ">static_29<" not in picture.svg
+
+
+@pytest.mark.parametrize("verdict", ["none", "unknown"])
+def test_probabilities_of_a_device_without_names_add_up(verdict):
+    shares = [float(row[2].removesuffix(" %")) for row in effects_table(diagnosis(verdict)).rows]
+    assert sum(shares) == pytest.approx(100.0)
 
 
 def test_a_limit_is_worded_by_status():

@@ -26,6 +26,7 @@ from .model import CampaignModel, look_at
 from .next_experiment import experiment_for, next_experiment
 from .odd_one_out import check_alike
 from .preflight import check_campaign, usable
+from .probabilities import none_or_unknown
 from .rate_table import said_late
 from .screen import Candidate, Screened
 from .select import Selection, select_effects
@@ -38,12 +39,6 @@ from .told import told_sizes
 
 __all__ = ["diagnose"]
 
-#: a healthy device is believed this often before any recording; what is there and was not seen in trials, and how much of that has no name
-_NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
-#: log evidence of which healthy devices reach some
-_DOUBTFUL = 6.0
-#: of what trials found unknown, what was, and what was none; the rest has a name
-_UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.7, 0.05
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
 
@@ -103,7 +98,7 @@ def diagnose(
     verdict = _verdict(effects, unknown, lines)
     following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
-    none, something = _probabilities(selection, beside, unknown)
+    none, something = none_or_unknown(selection, beside.effects, unknown)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
@@ -274,22 +269,6 @@ def _in_order(lines: tuple[Standing, ...]) -> tuple[Standing, ...]:
     """The present ones first, then what is like them."""
     rank = {"present": 0, "like": 1}
     return tuple(sorted(lines, key=lambda s: rank.get(s.status.split()[0], 2)))
-
-
-def _probabilities(selection: Selection, beside: SpectralEffects, unknown: Unknown | None) -> tuple[float, float]:
-    """Of none, and of something unnamed: by the evidence, and by how often such verdicts were right in trials (`benchmarks/README.md`)."""
-    if unknown is not None:
-        return _UNKNOWN_IS_NONE, _UNKNOWN_IS
-    found = [*selection.probabilities, *(e.probability for e in beside.effects)]
-    if found:
-        # what is not this effect is another or unnamed: against none the evidence itself speaks
-        strongest = max((e.log_evidence for e in selection.effects), default=50.0)
-        none = 1.0 / (1.0 + math.exp(min(0.5 * (strongest - _DOUBTFUL), 50.0)))
-        return none, max(1.0 - max(found) - none, 0.0)
-    best = max((s.log_evidence for s in selection.screened.values()), default=-10.0)
-    something = (1.0 - _NONE_BEFORE) * (math.exp(min(0.5 * (best - _DOUBTFUL), 50.0)) + _MISSED)
-    none = _NONE_BEFORE / (_NONE_BEFORE + something)
-    return none, _NAMELESS * min(1.0 - none, _MISSED)
 
 
 def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:

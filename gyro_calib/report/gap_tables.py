@@ -22,9 +22,18 @@ def effects_table(diagnosis: Diagnosis) -> Table:
             value, sd, unit = quantity_cells(quantity)
             first = (effect.name, f"{100.0 * effect.probability:.1f} %", effect.location, _others(effect)) if k == 0 else ("", "", "", "")
             rows.append((first[0], f"{name} = {value} ± {sd} {unit}", *first[1:]))
-    rows.append(("none of any kind", "", _percent(diagnosis.probability_none), "", ""))
-    rows.append(("another, or not in the catalogue", "", _percent(diagnosis.probability_unknown), "", ""))
+    for words, probability in _beside_the_named(diagnosis):
+        rows.append((words, "", _percent(probability), "", ""))
     return Table("Which effects", ("effect", "size", "probability", "acts in", "cannot be told from"), tuple(rows))
+
+
+def _beside_the_named(diagnosis: Diagnosis) -> list[tuple[str, float]]:
+    """Probability of what no row above names, which adds up to 1 where none does."""
+    none, unknown = diagnosis.probability_none, diagnosis.probability_unknown
+    if diagnosis.effects:
+        return [("none of any kind", none), ("another, or not in the catalogue", unknown)]
+    of_catalogue = "one of the catalogue" if diagnosis.unknown is not None else "one of the catalogue, too small to see"
+    return [("none of any kind", none), (of_catalogue, max(1.0 - none - unknown, 0.0)), ("not in the catalogue", unknown)]
 
 
 def places_table(diagnosis: Diagnosis, count: int = 3) -> Table:

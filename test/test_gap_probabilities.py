@@ -1,0 +1,34 @@
+"""How likely a device is healthy after a diagnosis that names nothing."""
+
+import numpy as np
+
+from gyro_calib.gap.diagnosis import Unknown
+from gyro_calib.gap.probabilities import none_or_unknown
+from gyro_calib.gap.screen import Candidate, Screened
+from gyro_calib.gap.select import Selection
+
+
+def selection(log_evidence: float, *, named: bool = False) -> Selection:
+    candidate = Candidate("duffing", {}, (), np.ones(1))
+    found = Screened(candidate, 30.0, 1, log_evidence, np.ones(1), np.ones(1), 0.1, np.ones((1, 1)))
+    return Selection(
+        (found,) if named else (), (("duffing",),) if named else (), (0.8,) if named else (), None, {"duffing": found}, 1.0, 1.0, 1
+    )
+
+
+def test_evidence_that_healthy_devices_reach_leaves_them_likely():
+    """A verdict of none does not read as doubted: of trials with that verdict most were healthy, whatever the evidence below the limit."""
+    said = [none_or_unknown(selection(best), (), None)[0] for best in (-5.0, 2.0, 4.0, 8.0, 11.9)]
+    assert said == sorted(said, reverse=True)
+    assert said[0] > 0.8
+    assert said[-1] > 0.6
+
+
+def test_a_name_leaves_little_for_none():
+    weak, strong = (none_or_unknown(selection(best, named=True), (), None)[0] for best in (12.0, 40.0))
+    assert strong < 1e-6 < weak < 0.1
+
+
+def test_what_is_unknown_is_most_likely_so():
+    none, unknown = none_or_unknown(selection(3.0), (), Unknown("drive", "in phase", "x", "time", "", 60.0))
+    assert none < 0.05 < 0.85 < unknown <= 1.0 - none
