@@ -91,6 +91,15 @@ def test_a_gain_that_ripples_is_no_hum() -> None:
     assert not hum.of_wave
 
 
+@pytest.mark.parametrize("inside_hz", [2.6, 2.75, 2.9])
+def test_the_skirt_of_what_stands_nearer_to_the_carrier_is_no_line(inside_hz: float) -> None:
+    """Bins nearer than 3 Hz belong to the wave: what stands there is told by the slow flow, not by the skirt that reaches beyond."""
+    assert find_tone(pick_spectra(records(np.random.default_rng(3), hum=(inside_hz, 1e-4))), LINEAR) is None
+    beyond = find_tone(pick_spectra(records(np.random.default_rng(3), hum=(3.5, 1e-4))), LINEAR)
+    assert beyond is not None
+    assert beyond.frequency_hz == pytest.approx(3.5, abs=0.02)
+
+
 def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
     tone = find_tone(pick_spectra(records(np.random.default_rng(2), tone=(15041.7, 3e-6))), LINEAR)
     assert tone is not None
