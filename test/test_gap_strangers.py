@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from table_samples import looked_at, on_a_table
 
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.model import look_at
+from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import Selection, select_effects
+from gyro_calib.gap.strangers import MARGIN
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -67,6 +70,25 @@ def test_friction_of_each_axis_that_the_registry_lacks_is_no_loss_of_the_amplitu
     selection = select_effects(model)
     assert selection.stranger is not None
     assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x_j/|x_j|")
+
+
+def test_friction_of_each_axis_is_found_by_an_axis_at_rest_whose_pickoffs_are_not_square() -> None:
+    """All of an axis's friction acts while it is held, to the side that its pick-offs lean: without that its size is false or none."""
+    unit, rng, sizes = draw_trial_unit("ring", 79, 1), np.random.default_rng(1), {"c_x": 1.5e-3, "c_y": 9e-4}
+    plan = campaign_plan("ring", unit.device.factory(), rng, "quick")
+    model = looked_at(record_unit(unit, plan, {"coulomb_friction_axes": sizes}, rng))
+    by_axis = next(c for c in model.candidates["coulomb_friction"] if c.setting["axes"])
+    found = model.screener.screen(by_axis)
+    assert found is not None
+    assert found.log_evidence > MARGIN
+    for name, size in sizes.items():
+        value, sd = found.sizes()[name]
+        assert value == pytest.approx(size, abs=4.0 * sd)
+        assert sd < 0.2 * size
+    own = [k for k, c in enumerate(by_axis.columns) if not c.name.startswith(SKEW)]
+    alone = model.screener.screen(replace(by_axis, columns=tuple(by_axis.columns[k] for k in own), prior_sd=by_axis.prior_sd[own]))
+    assert alone is not None
+    assert all(abs(alone.sizes()[name][0] - size) > 10.0 * alone.sizes()[name][1] for name, size in sizes.items())
 
 
 def test_two_effects_of_the_registry_are_no_stranger() -> None:

@@ -11,7 +11,7 @@ from .column import Column
 from .columns import form_columns, forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
-from .parts import SKEW, UNEQUAL, Linear, Setting
+from .parts import REST, SKEW, UNEQUAL, Linear, Setting
 from .screen import Candidate
 
 __all__ = ["candidate_at", "candidates_of", "registry_name"]
@@ -79,7 +79,9 @@ def _candidate(name: str, setting: Setting, columns: Sequence[Column], choices: 
     typical = {p.name: p.typical for p in effect.parameters if p.name not in setting}
     # a share multiplies an effect whose size is its setting: it is one when that is right
     prior = {c.name: _PRIOR_WIDTH * typical[c.name] if c.name in typical else 1.0 for c in columns}
-    if sizes is not None:
+    if sizes is None:
+        prior |= {c.name: UNEQUAL * _PRIOR_WIDTH * max(typical.values()) for c in columns if c.name.startswith(REST)}
+    else:
         own = max((abs(size) for parameter, size in sizes.items() if not parameter.startswith(SKEW)), default=0.0)
         prior |= {c.name: UNEQUAL * own for c in columns if c.name.startswith(SKEW)}
     return Candidate(name, setting, tuple(columns), np.array([prior[c.name] for c in columns]), choices)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .column import Column
 from .evidence import CampaignEvidence, RecordingEvidence
 from .feedthrough import with_what_feeds
-from .parts import SKEW, Form, Linear, Part, Setting
+from .parts import REST, SKEW, Form, Linear, Part, Setting
 from .signals import Projector, Signals
 
 __all__ = ["QUIET", "SIGNAL", "Place", "form_columns", "forms_columns", "part_columns"]
@@ -65,7 +65,11 @@ def forms_columns(
         if on_progress is not None:
             on_progress(r.index / len(evidence))
         made = ((k, part) for k, (form, setting) in enumerate(forms) for part in form.parts(r.signals, linear, setting))
-        return [((k, part.parameter), part) for k, part in made if unlike or not part.parameter.startswith(SKEW)]
+        return [
+            ((k, part.parameter), part)
+            for k, part in made
+            if unlike or not part.parameter.startswith(SKEW) or part.parameter.startswith(REST)
+        ]
 
     columns: list[list[Column]] = [[] for _ in forms]
     for (k, _), column in _columns(evidence, map(parts_of, evidence), linear).items():

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from .memory import remembered
-from .parts import SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, read_at_once, turned
+from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, read_at_once, turned
 from .signals import Signals
 
 __all__ = ["AT_REST", "FORMS", "behind", "conjugate_product", "cube"]
@@ -258,8 +258,8 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         against = -p / np.sqrt(np.abs(p) ** 2 + (AT_REST * size) ** 2)
         at_rest = -(1.0 - np.abs(against)) * _swapped(p) / (size + 1e-12) / UNEQUAL
         driven = float(s.recording.command.mode == "loops_off") * at_rest
-        skewed = {"rest": at_rest, "driven": driven, "driven_late": 1j * driven}
-        return [*_by_axis("flow", "c", against), *(part for n, x in skewed.items() for part in _by_axis("flow", f"{SKEW}_{n}", x))]
+        skewed = {REST: at_rest, f"{SKEW}_driven": driven, f"{SKEW}_driven_late": 1j * driven}
+        return [*_by_axis("flow", "c", against), *(part for n, x in skewed.items() for part in _by_axis("flow", n, x))]
     return [Part("c", "flow", -_dry(p)), *_skewed(p, _dry, -1.0)]
 
 

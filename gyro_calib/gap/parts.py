@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from .followed import Followed
 from .signals import Signals
 
-__all__ = ["SKEW", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
+__all__ = ["REST", "SKEW", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: a part that is no parameter of its effect: what the unit's own pick-offs make of it
 SKEW = "skew"
+#: one that is as large as the effect itself, to either side, so that the effect is not seen without it
+REST = f"{SKEW}_rest"
 #: how unequal the pick-offs of a unit are
 UNEQUAL = 0.03
 #: where a part enters: added to p', to the drive (through G), or to the pick-off's volts

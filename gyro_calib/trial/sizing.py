@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from ..effects import EFFECTS
+from ..gap.column import Column
 from ..gap.columns import form_columns
 from ..gap.forms import FORMS
 from ..gap.model import CampaignModel
+from ..gap.parts import REST
 from .labels import reported_name
 
 __all__ = ["Sized", "imitators", "size_effect"]
@@ -99,8 +101,8 @@ def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Gene
     found = form_columns(model.evidence, FORMS[reported_name(name)], model.linear, setting)
     # what no campaign tells from the wander of the resonance has no column, and stays zero
     silent = dict.fromkeys(set(linear) - {c.name for c in found}, 0.0)
-    linear = tuple(c.name for c in found)
-    columns, _ = model.screener.projected(found)
+    linear = tuple(c.name for c in found if not c.name.startswith(REST))
+    columns = _without_rest(found, model.screener.projected(found)[0])
     draw = {p: effect.parameter(p).typical * _share(effect.parameter(p).signed, rng) for p in linear}
     signal = columns @ np.array([draw[p] for p in linear])
     strength = float(np.linalg.norm(signal))
@@ -110,6 +112,13 @@ def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Gene
     if any(not effect.parameter(p).lower <= v <= effect.parameter(p).upper for p, v in sizes.items()):
         return None
     return None if _undamped(model, name, sizes) else Sized(name, sizes, factor * signal)
+
+
+def _without_rest(found: Sequence[Column], columns: FloatArray) -> FloatArray:
+    """An effect's own columns, less what an axis at rest may do of it to either side: shape (n, parameters)."""
+    rest = np.array([c.name.startswith(REST) for c in found])
+    beside, own = np.linalg.qr(columns[:, rest])[0], columns[:, ~rest]
+    return np.asarray(own - beside @ (beside.T @ own))
 
 
 def _undamped(model: CampaignModel, name: str, sizes: Mapping[str, float]) -> bool:
