@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.diagnose import _not_of_its_form, _probabilities
+from gyro_calib.gap.diagnose import _not_of_its_form
 from gyro_calib.gap.heldout import Shrinkage, _closed, _Unseen, halves, halves_disagree, shrinkage, shrinkage_of_halves
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screener
 from gyro_calib.gap.select import Selection
-from gyro_calib.gap.spectral_effects import SpectralEffects
 from gyro_calib.gap.system import Whitener, solve
 
 ROWS, COUNT, WANDER = 20, 8, 2.0
@@ -226,14 +225,3 @@ def test_an_effect_that_one_recording_alone_tells_surprises_nobody() -> None:
     assert told.surprise < 1.3
     model, effect = toy(once, 0)
     assert shrinkage(model, [effect]).surprise > 2.0
-
-
-def test_none_is_believed_no_more_than_trials_allow() -> None:
-    """Of what is there a sixth is not seen: no campaign makes a healthy device certain."""
-    nothing = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=-9.0)})
-    doubtful = SimpleNamespace(effects=(), probabilities=(), screened={"duffing": SimpleNamespace(log_evidence=9.0)})
-    beside = SpectralEffects((), (), None, 0.0)
-    (sure, unnamed), (unsure, _) = (_probabilities(cast(Selection, s), beside, None) for s in (nothing, doubtful))
-    assert 0.8 < sure < 0.87
-    assert 0.05 < unnamed < 1.0 - sure
-    assert unsure < 0.3

@@ -24,6 +24,13 @@ def test_evidence_that_healthy_devices_reach_leaves_them_likely():
     assert said[-1] > 0.6
 
 
+def test_none_is_believed_no_more_than_trials_allow():
+    """Of what is there a sixth is not seen: no campaign makes a healthy device certain."""
+    none, unnamed = none_or_unknown(selection(-9.0), (), None)
+    assert 0.8 < none < 0.87
+    assert 0.05 < unnamed < 1.0 - none
+
+
 def test_a_name_leaves_little_for_none():
     weak, strong = (none_or_unknown(selection(best, named=True), (), None)[0] for best in (12.0, 40.0))
     assert strong < 1e-6 < weak < 0.1
