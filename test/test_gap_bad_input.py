@@ -16,6 +16,7 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap.diagnose import diagnose
+from gyro_calib.gap.odd_one_out import check_alike
 from gyro_calib.gap.preflight import check_campaign
 from gyro_calib.recording import Campaign, Recording
 from gyro_calib.recording.columns import COLUMNS
@@ -179,6 +180,15 @@ def test_one_recording_that_is_unlike_the_others_is_named(refusal, spoil, words,
     text = refusal(in_one(spoil, label))
     assert words in text
     assert repr(label) in text
+
+
+def test_one_recording_that_alone_tells_a_part_of_the_device_is_not_unlike(campaign):
+    """x with but one side band: the others tell its loss over its drive alone, and y's equations fit it once the axes are swapped."""
+    labels = ("static_x_0", "static_x_1", "locate", "static_y_0", "static_y_1", "side_y_a1_0.5hz", "side_y_a1_1.5hz")
+    for own in ("side_x_a1_0.5hz", "side_x_a1_1.5hz"):
+        few = [r for r in campaign if r.label in (*labels, own)]
+        assert len(few) == len(labels) + 1
+        check_alike(few, campaign.factory["angular_gain_kappa"])
 
 
 @pytest.mark.parametrize(("columns", "axis"), [(DRIVES[:2], "x"), (DRIVES[2:], "y"), (PICKS[2:], "y")])

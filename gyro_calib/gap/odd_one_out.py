@@ -29,6 +29,8 @@ Change = Callable[[ComplexArray], ComplexArray]
 _BLOCK_S, _FEWEST_ROWS, _FEWEST = 0.1, 200, 4
 #: share of what acts that is missed from which on a recording is unlike the others, and what a change must leave to be its cause
 _UNLIKE, _MENDED = 0.5, 0.1
+#: share of what one device for all recordings misses, as they are, that it may miss once one of them is changed
+_BETTER = 0.5
 #: pull of what nothing tells towards zero, over the equations of one recording
 _RIDGE = 1e-6
 
@@ -108,6 +110,7 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
         return
     blocks = [_blocks(r) for r in waves]
     equations = [_Equations.of(b, angular_gain) for b in blocks]
+    worst = _worst(equations)
     found = []
     for place, (r, own) in enumerate(zip(waves, equations, strict=True)):
         others = [*equations[:place], *equations[place + 1 :]]
@@ -117,8 +120,10 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
         for mend in _mends():
             mended = _Equations.of(mend(blocks[place]), angular_gain)
             if (left := mended.missed(device)) < _MENDED:
-                all_of_one = _device_of([*others, mended])
-                found.append((max(e.missed(all_of_one) for e in (*others, mended)), r.label, missed, left, mend.words))
+                with_it = _worst([*others, mended])
+                # the others may leave open what it alone tells (x held but once with a side band): then one device is as good as it is
+                if with_it < _BETTER * worst:
+                    found.append((with_it, r.label, missed, left, mend.words))
     if found:
         # one wrong recording spoils what is foretold of the others, too: the cause is what makes all of them those of one device
         _, label, missed, left, words = min(found)
@@ -180,6 +185,12 @@ def _device_of(equations: Sequence[_Equations]) -> FloatArray:
     normal, right = np.sum([e.normal for e in equations], axis=0), np.sum([e.right for e in equations], axis=0)
     scale = np.sqrt(np.diag(normal)) + 1e-300
     return np.asarray(np.linalg.solve(normal / np.outer(scale, scale) + _RIDGE * np.eye(len(scale)), right / scale) / scale)
+
+
+def _worst(equations: Sequence[_Equations]) -> float:
+    """What is missed most of any recording by the device that they all tell."""
+    device = _device_of(equations)
+    return max(e.missed(device) for e in equations)
 
 
 def _rows(b: Blocks, angular_gain: float) -> tuple[FloatArray, FloatArray]:
