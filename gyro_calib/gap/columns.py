@@ -58,7 +58,7 @@ def forms_columns(
     on_progress : callable, optional
         Called with the fraction done.
     unlike : bool
-        With what pick-offs that are not alike make of them.
+        With what pick-offs that are not alike make of them; that of an axis at rest (:data:`~.parts.REST`) is always there.
     """
 
     def parts_of(r: RecordingEvidence) -> list[tuple[Key, Part]]:

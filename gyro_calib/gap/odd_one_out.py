@@ -3,7 +3,7 @@
 Every recording with a wave is foretold by a linear device that is fitted to all the others, in blocks of a tenth of a second. What is asked
 of it knows neither frequency nor azimuth: how fast the amplitude goes, and how fast the wave turns and opens. Healthy recordings and ones
 with strong effects miss that by some hundredths of what acts; one with a wrong sign misses it by once or twice, and where turning the sign
-back mends it, the sign is what was wrong.
+back mends it, the sign is what was wrong; unless one device obeys all recordings as well as they are.
 """
 
 from __future__ import annotations

@@ -13,7 +13,8 @@ __all__ = ["none_or_unknown"]
 #: a healthy device is believed this often before any recording; what is there and was not seen in trials, and how much of that has no name
 _NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
 #: log evidence of which healthy devices reach some, and by how much at most what is there reaches it more often.
-#: From 4 on were, of those with verdict none in trials, 44 of 258 healthy devices and 6 of 21 others
+#: From 4 on were, of those with verdict none in trials, 44 of 258 healthy devices and 5 of 21 others, which is 1.4 times as often; few are
+#: the others, so up to three times is believed
 _DOUBTFUL, _AT_MOST = 6.0, 0.36
 #: of what trials found unknown (29, of these one wrong), what was, and what was none; the rest has a name
 _UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.9, 0.03

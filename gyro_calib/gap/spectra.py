@@ -30,8 +30,8 @@ _LEAST_BINS, _HARMONICS = 30.0, 16.0
 #: power of a Hann window whose side lobes fall below the floor within those bins: a turning wave of a volt stands beside nanovolts
 _POWER = 3
 _SHORTEST_S = 4.0
-#: power over the floor that a skirt of something nearer to the carrier may have
-_SKIRT = 4.0
+#: power over the floor down to which the skirt of something nearer to the carrier is followed
+_SKIRT_POWER = 4.0
 #: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz], and [bins],
 #: of which the window's main lobe has four
 RATES_HZ, _IMAGED, _SAME_HZ, _SKIRT_BINS = 100.0, 5, 0.15, 5.0
@@ -123,18 +123,18 @@ def _spectrum(r: Recording) -> PickSpectrum:
     busy = max(turning, r.command.excitation.frequency_hz if r.command.excitation.kind != "none" else 0.0)
     clear = max(_LEAST_BINS / r.duration_s, _HARMONICS * busy)
     ratio = power / floor
-    beyond = _beyond_skirt(ratio.max(axis=1), frequency, clear, 1.0 / r.duration_s)
+    beyond = _beyond_skirt(ratio.max(axis=1), clear, 1.0 / r.duration_s)
     return PickSpectrum(r, frequency, ratio, beyond, float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi))
 
 
-def _beyond_skirt(ratio: FloatArray, frequency_hz: FloatArray, clear_hz: float, bin_hz: float) -> float:
-    """Where the skirt ends of what stands within the carrier's own bins: no line of its own, though it is as far over the floor."""
-    middle, inner = frequency_hz.size // 2, math.floor(clear_hz / bin_hz)
+def _beyond_skirt(ratio: FloatArray, clear_hz: float, bin_hz: float) -> float:
+    """Where the skirt ends [Hz] of what stands within the carrier's own bins, in power over the floor, shape (n,): no line of its own."""
+    middle, inner = ratio.size // 2, math.floor(clear_hz / bin_hz)
     if inner >= middle:
         return clear_hz
     ends = []
     for side in (ratio[middle + inner :], ratio[middle - inner :: -1]):
-        falls = (side[:-1] > _SKIRT) & (side[1:] < side[:-1])
+        falls = (side[:-1] > _SKIRT_POWER) & (side[1:] < side[:-1])
         ends.append(int(np.argmin(np.append(falls, False))))
     return max(clear_hz, (inner + max(ends) + 0.5) * bin_hz if max(ends) else 0.0)
 
