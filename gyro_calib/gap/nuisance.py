@@ -43,6 +43,8 @@ BOTH_PICKOFFS = f"{_BOTH}thermal_pickoff_gain"
 _UNLIKE_PER_K = 0.13
 #: damping that does not go as all of it does, over its anisotropy and over the damping [1/K]
 _OTHERWISE_PER_K, _OTHERWISE_OF_ALL_PER_K = 1e-3, 1e-6
+#: least damping of a device over the factory's
+_LEAST_DAMPING = 0.5
 #: relative curvature of the damping [1/K^2]
 _DAMPING_PER_K2 = 3e-5
 #: a record that is late by some samples of the converters [s]
@@ -122,6 +124,11 @@ def _in_stiffness_control(evidence: CampaignEvidence, linear: Linear) -> list[Co
     return [replace(c, prior_sd=_OF_STIFFNESS) for c in found if any(np.any(v) for v in c.signal)]
 
 
+def _damping(evidence: CampaignEvidence, linear: Linear) -> float:
+    """Damping [1/s], as the fit says; a pump that undoes it is in A, and what follows the temperature is of what it undoes."""
+    return max(abs(np.trace(linear.A).real) / 2.0, _LEAST_DAMPING * evidence.decay_rate)
+
+
 def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """How a healthy device follows its temperature, and a record that is late."""
     columns: list[Column] = []
@@ -134,14 +141,14 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         return columns
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
     columns += _blurred_temperature(evidence, linear)
-    damping = abs(np.trace(linear.A).real) / 2.0
+    damping = _damping(evidence, linear)
     columns += collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], _DAMPING_PER_K2 * damping, real=True)
     return columns + following_columns(evidence, linear)
 
 
 def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """What follows the temperature of the moment, but for the resonance."""
-    damping = abs(np.trace(linear.A).real) / 2.0
+    damping = _damping(evidence, linear)
     split = 2.0 * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
     unequal = linear.A - np.eye(2) * np.trace(linear.A) / 2.0
     anisotropy, lossy = np.abs(unequal).max(), float(np.abs(unequal.real).max())
@@ -194,7 +201,7 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
         ]
         across = -r.signals.temperature_k[:, None] * turned(motion)
         by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion), Part("rate_per_k", "flow", across)])
-    damping = abs(np.trace(linear.A).real) / 2.0
+    damping = _damping(evidence, linear)
     sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
     sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
     sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
