@@ -17,7 +17,7 @@ from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import Selection, select_effects
-from gyro_calib.gap.strangers import MARGIN
+from gyro_calib.gap.strangers import MARGIN, unnamed_counts
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -89,6 +89,26 @@ def test_friction_of_each_axis_is_found_by_an_axis_at_rest_whose_pickoffs_are_no
     alone = model.screener.screen(replace(by_axis, columns=tuple(by_axis.columns[k] for k in own), prior_sd=by_axis.prior_sd[own]))
     assert alone is not None
     assert all(abs(alone.sizes()[name][0] - size) > 10.0 * alone.sizes()[name][1] for name, size in sizes.items())
+
+
+def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force() -> None:
+    """A split by the inverse of the amplitude: constants of drive and pick-off and another mode took nine tenths of it."""
+    model = looked_at(on_a_table())
+    term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", "x/|x|, as a split"))
+    selection = selected([term.columns[0]], 60.0)
+    assert selection.stranger is not None
+    assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x/|x|, as a split")
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.003, False), (0.015, True)])
+def test_what_is_left_of_loud_names_is_first_order_or_something_else(share: float, counts: bool) -> None:
+    """Right names left 0.0023 of what they took, three that imitated a soft knee of the pick-offs 0.015."""
+    model = looked_at(on_a_table())
+    loud = model.screener.screen(model.candidates["nonlinear_damping"][0])
+    left = model.screener.screen(next(c for t, c in model.bank if t.form == "|x|^4 x"))
+    assert loud is not None
+    assert left is not None
+    assert unnamed_counts(replace(left, gain=share * LOUD**2), [replace(loud, gain=LOUD**2)]) is counts
 
 
 def test_two_effects_of_the_registry_are_no_stranger() -> None:

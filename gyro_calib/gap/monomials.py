@@ -119,6 +119,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x_k|^2 x_j, k the other axis", "amplitude"): _on_each(lambda s, x: np.abs(x[:, ::-1]) ** 2 * x),
     ("|x| x, as a split", "amplitude"): _split(lambda s: size_of(s.pick)),
     ("|x|^2 x, as a split", "amplitude"): _split(lambda s: size_of(s.pick) ** 2),
+    ("x/|x|, as a split", "amplitude"): _split(lambda s: 1.0 / (size_of(s.pick) + 1e-9)),
     ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: size_of(s.pick) ** 2),
     ("|x|^3 x", "amplitude"): [lambda s, x: size_of(x) ** 3 * x],
     ("|x|^4 x", "amplitude"): [lambda s, x: size_of(x) ** 4 * x],
