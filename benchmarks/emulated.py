@@ -1,6 +1,6 @@
 """What the diagnosis says of anybody's recordings whose rows are altered as an effect would alter them.
 
-python benchmarks/emulated.py FILE [--snr 30 150] [--seed 1] [--only TEXT …] [--jobs 2]
+python benchmarks/emulated.py FILE [--unseen] [--snr 30 150] [--seed 1] [--only TEXT …] [--jobs 2]
 
 Loops drop out of the equations of a gyro: what acted stands in the drive columns. So a healthy device's recordings become those of a device
 with an effect by arithmetic alone. A pick-off that reads o besides: its columns plus o. A drive that makes d besides: its columns less d,
@@ -22,7 +22,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from emulated_effects import EMULATED, Emulated, FloatArray
+from emulated_effects import EMULATED, UNSEEN, Emulated, FloatArray
 from injected import looked_at
 
 from gyro_calib.errors import DataError
@@ -95,7 +95,7 @@ def _healthy(path: Path) -> tuple[Campaign, CampaignModel]:
 def judged(path: Path, name: str, snr: float, seed: int) -> Outcome | None:
     """Diagnose a file with one effect more; None where the nuisances hide it."""
     campaign, model = _healthy(path)
-    effect = next(e for e in EMULATED if e.name == name)
+    effect = next(e for e in (*EMULATED, *UNSEEN) if e.name == name)
     z = np.random.default_rng([seed, *effect.name.encode()]).normal(size=4)
     size = size_of(model, effect, z, snr)
     if size is None:
@@ -125,11 +125,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path)
     parser.add_argument("--snr", nargs="+", type=float, default=[100.0])
+    parser.add_argument("--unseen", action="store_true", help="effects that were drawn up after the diagnosis")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", default=[], help="effects whose name holds one of these")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    names = [e.name for e in EMULATED if not options.only or any(text in e.name for text in options.only)]
+    effects = UNSEEN if options.unseen else EMULATED
+    names = [e.name for e in effects if not options.only or any(text in e.name for text in options.only)]
     tasks = [(options.file, name, snr, options.seed) for snr in options.snr for name in names]
     if options.jobs > 1:
         with ProcessPoolExecutor(options.jobs) as pool:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-__all__ = ["EMULATED", "Emulated", "Rows"]
+__all__ = ["EMULATED", "UNSEEN", "Emulated", "Rows"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -116,6 +116,35 @@ def _random_walk_of(index: int, z: FloatArray) -> float:
     return float(np.random.default_rng([index, int(1e6 * abs(z[3]))]).normal())
 
 
+def _after_start(r: Rows, tau_s: float) -> FloatArray:
+    return _col(np.exp(-(r.time_s - r.time_s[0]) / tau_s))
+
+
+def _heated(r: Rows, tau_s: float) -> ComplexArray:
+    """Power of the drives of some time before."""
+    return _low_pass((_size(r.drive) ** 2).astype(complex), tau_s, r.row_s)
+
+
+def _warming(r: Rows) -> FloatArray:
+    """How fast the temperature moves, of 3 s before."""
+    return _col(np.gradient(_low_pass(_col(r.temperature_k).astype(complex), 3.0, r.row_s)[:, 0].real, r.row_s))
+
+
+def _beyond(x: ComplexArray, level: float) -> ComplexArray:
+    """What lies beyond a level of each axis."""
+    return np.asarray(np.maximum(np.abs(x) - level, 0.0) * x / (np.abs(x) + 1e-9))
+
+
+def _play(x: ComplexArray) -> ComplexArray:
+    """What play of a tenth of its median keeps from each axis."""
+    size = np.abs(x)
+    width = 0.1 * np.median(size)
+    out = size.copy()
+    for k in range(1, len(out)):
+        out[k] = np.clip(out[k - 1], size[k] - width, size[k] + width)
+    return np.asarray((out - size) * x / (size + 1e-9))
+
+
 E = Emulated
 EMULATED: tuple[Emulated, ...] = (
     # -- of the registry --------------------------------------------------------------------------------------------------------------
@@ -196,4 +225,46 @@ EMULATED: tuple[Emulated, ...] = (
     E("split resonance in temperature", "flow", lambda r, z: 1j * _col(np.tanh(2.0 * (r.temperature_k - 5.0))) * _split(r.motion, z)),
     E("frequency by heating", "flow", lambda r, z: 1j * _low_pass((_size(r.motion) ** 2).astype(complex), 12.0, r.row_s) * r.motion),
     E("vibration at 3 Hz", "flow", lambda r, z: 1j * _col(np.sin(2 * np.pi * 3.0 * r.time_s)) * _split(r.motion, z)),
+)
+#: drawn up once the diagnosis had its rules, and none was made for them since but what benchmarks/README.md says
+UNSEEN: tuple[Emulated, ...] = (
+    E("pick-off droop by other axis", "output", lambda r, z: np.abs(_cross(r.pick)) ** 2 * r.pick),
+    E("pick-off phase drift", "output", lambda r, z: 1j * np.array([1.0, -0.3]) * _col(r.time_s) * r.pick, ("pickoff_phase_drift",)),
+    E("drive phase drift", "drive", lambda r, z: 1j * np.array([1.0, -0.3]) * _col(r.time_s) * r.drive, ("drive_phase_drift",)),
+    E("pick-off misalignment drift", "output", lambda r, z: np.array([1.0, 0.2]) * _col(r.time_s) * _cross(r.pick)),
+    E("drive misalignment with temperature", "drive", lambda r, z: np.array([1.0, 0.5]) * _col(r.temperature_k) * _cross(r.drive)),
+    E("pick-off misalignment with temperature", "output", lambda r, z: np.array([1.0, -0.4]) * _col(r.temperature_k) * _cross(r.pick)),
+    E("damping anisotropy drift", "flow", lambda r, z: -_col(r.time_s) * _split(r.motion, z)),
+    E("warm-up of frequency each start", "flow", lambda r, z: 1j * _after_start(r, 2.0) * r.motion),
+    E("warm-up of drive gain each start", "drive", lambda r, z: np.array([1.0, 0.8]) * _after_start(r, 3.0) * r.drive),
+    E("warm-up of pick-off gain each start", "output", lambda r, z: np.array([1.0, -0.5]) * _after_start(r, 4.0) * r.pick),
+    E("slew-limited pick-off", "output", lambda r, z: 1j * np.array([1.0, 0.8]) * np.abs(r.pick) * r.pick),
+    E("knee of pick-off", "output", lambda r, z: -np.array([1.0, 0.7]) * _beyond(r.pick, 0.25)),
+    E("knee of drive", "drive", lambda r, z: -np.array([1.0, 0.7]) * _beyond(r.drive, 0.05)),
+    E("heat of drive moves frequency", "flow", lambda r, z: 1j * _heated(r, 3.0) * r.motion),
+    E("heat of drive moves split", "flow", lambda r, z: 1j * _heated(r, 8.0) * _split(r.motion, z)),
+    E("heat of drive moves damping", "flow", lambda r, z: -_heated(r, 8.0) * r.motion),
+    E("bias by temperature rate", "flow", lambda r, z: _warming(r) * _turn(r.motion)),
+    E("pick-off gain by temperature rate", "output", lambda r, z: np.array([1.0, -0.5]) * _warming(r) * r.pick),
+    E("play of drive", "drive", lambda r, z: _play(r.drive)),
+    E("damping by rate", "flow", lambda r, z: -_col(r.rate_rad_s**2) * r.motion),
+    E("anisotropy by rate", "flow", lambda r, z: -_col(r.rate_rad_s) * _split(r.motion, z)),
+    E("pick-off cross by drive power", "output", lambda r, z: _size(r.drive) ** 2 * _cross(r.pick)),
+    E("pick-off gain by drive power", "output", lambda r, z: np.array([1.0, 0.3]) * _size(r.drive) ** 2 * r.pick),
+    E("damping by squeeze power 1.5", "flow", lambda r, z: -(_size(r.motion) ** 1.5) * r.motion),
+    E("cubic of x alone in damping of y", "flow", lambda r, z: -np.array([0.0, 1.0]) * np.abs(_cross(r.motion)) ** 2 * r.motion),
+    E("hops of frequency", "flow", lambda r, z: 1j * _hops(r.time_s, z, 20.0) * r.motion),
+    E("hops of drive gain", "drive", lambda r, z: np.array([1.0, 0.0]) * _hops(r.time_s, z, 12.0) * r.drive),
+    E("hops of rate", "flow", lambda r, z: _hops(r.time_s, z, 15.0) * _turn(r.motion)),
+    E("stiction of quadrature", "flow", lambda r, z: 1j * _split(r.motion, z) / (_size(r.motion) + 1e-6)),
+    E("slow swing of rate 40 s", "flow", lambda r, z: _col(np.sin(2 * np.pi * r.time_s / 40.0 + z[0])) * _turn(r.motion)),
+    E(
+        "slow swing of pick-off 25 s",
+        "output",
+        lambda r, z: np.array([1.0, -1.0]) * _col(np.sin(2 * np.pi * r.time_s / 25.0 + z[0])) * r.pick,
+    ),
+    E("pick-off 16 lobes", "output", lambda r, z: np.cos(8.0 * _azimuth(r.pick) + z[0]) * r.pick),
+    E("drive by four lobes", "drive", lambda r, z: np.cos(4.0 * _azimuth(r.motion) + z[0]) * r.drive),
+    E("damping by four lobes", "flow", lambda r, z: -np.cos(4.0 * _azimuth(r.motion) + z[0]) * r.motion),
+    E("rate by azimuth two lobes", "flow", lambda r, z: np.cos(4.0 * _azimuth(r.motion) + z[0]) * _turn(r.motion)),
 )

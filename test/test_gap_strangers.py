@@ -100,6 +100,15 @@ def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force(
     assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x/|x|, as a split")
 
 
+def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander() -> None:
+    """It is in the shift of every record, whose size is measured: what goes as the energy of a quarter of a minute before is not that."""
+    model = looked_at(on_a_table())
+    term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", "|x of 15 s|^2 x"))
+    selection = selected([term.columns[1]])
+    assert selection.stranger is not None
+    assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "|x of 15 s|^2 x")
+
+
 @pytest.mark.parametrize(("share", "counts"), [(0.003, False), (0.015, True)])
 def test_what_is_left_of_loud_names_is_first_order_or_something_else(share: float, counts: bool) -> None:
     """Right names left 0.0023 of what they took, three that imitated a soft knee of the pick-offs 0.015."""

@@ -61,7 +61,7 @@ _OF_DRIVE = (
 )
 _OF_MOTION = ("|p_j|^2 x_j, p the motion",)
 #: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis
-_OF_FLOW = ("|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split")
+_OF_FLOW = ("|x of 15 s|^2 x", "|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split")
 #: effects of a level, tried with any share of what lies beyond it: a knee that is soft; and of whose levels a loss or a stiffness may begin
 _KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}
 _OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2

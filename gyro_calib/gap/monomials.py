@@ -85,14 +85,17 @@ def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
     return remembered(replace(s, before=None), lambda _: x, tau_s)
 
 
-def _warmed(s: Signals, tau_s: float) -> FloatArray:
-    """How far the drives' power of some time is behind that of now, shape (n, 1)."""
-    now = size_of(s.drive) ** 2
-    return s.once(("warmed", tau_s), None, lambda: np.asarray(remembered(s, _power, tau_s).real - now))
+def _warmed(s: Signals, tau_s: float, power: Callable[[Signals], ComplexArray]) -> FloatArray:
+    """How far a power of some time is behind that of now, shape (n, 1)."""
+    return s.once(("warmed", tau_s, power), None, lambda: np.asarray((remembered(s, power, tau_s) - power(s)).real))
 
 
-def _power(s: Signals) -> ComplexArray:
+def _of_drives(s: Signals) -> ComplexArray:
     return (size_of(s.drive) ** 2).astype(np.complex128)
+
+
+def _of_motion(s: Signals) -> ComplexArray:
+    return (size_of(s.pick) ** 2).astype(np.complex128)
 
 
 def _rising(s: Signals) -> FloatArray:
@@ -120,6 +123,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x, as a split", "amplitude"): _split(lambda s: size_of(s.pick)),
     ("|x|^2 x, as a split", "amplitude"): _split(lambda s: size_of(s.pick) ** 2),
     ("x/|x|, as a split", "amplitude"): _split(lambda s: 1.0 / (size_of(s.pick) + 1e-9)),
+    ("|x of 15 s|^2 x", "amplitude"): [lambda s, x: size_of(s.pick) ** 2 * x, lambda s, x: _warmed(s, 15.0, _of_motion) * x],
     ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: size_of(s.pick) ** 2),
     ("|x|^3 x", "amplitude"): [lambda s, x: size_of(x) ** 3 * x],
     ("|x|^4 x", "amplitude"): [lambda s, x: size_of(x) ** 4 * x],
@@ -145,8 +149,8 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("a constant, also in open drive", "reference"): [lambda s, x, c=c: c(x) for c in _CONSTANTS],  # type: ignore[misc]
     ("|u|^2 x, u the drives", "drive"): [lambda s, x: size_of(s.drive) ** 2 * x],
     ("|u|^2 x, u the drives, crossed", "drive"): _crossed(lambda s: size_of(s.drive) ** 2),
-    **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 3.0)),
-    **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 15.0)),
+    **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 3.0, _of_drives)),
+    **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 15.0, _of_drives)),
     ("|u_j|^2 x_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * x),
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
     ("|p_j|^2 x_j, p the motion", "amplitude"): _on_each(lambda s, x: _by_motion(s.pick, x)),
