@@ -1,6 +1,6 @@
 """What the diagnosis says of anybody's recordings whose rows are altered as an effect would alter them.
 
-python benchmarks/emulated.py FILE [--unseen] [--snr 30 150] [--seed 1] [--only TEXT …] [--jobs 2]
+python benchmarks/emulated.py FILE [--unseen | --pairs 12] [--snr 30 150] [--seed 1] [--only TEXT …] [--jobs 2]
 
 Loops drop out of the equations of a gyro: what acted stands in the drive columns. So a healthy device's recordings become those of a device
 with an effect by arithmetic alone. A pick-off that reads o besides: its columns plus o. A drive that makes d besides: its columns less d,
@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import permutations, repeat
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -76,12 +77,29 @@ def _altered(r: Recording, s: Signals, model: CampaignModel, effect: Emulated, z
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What was said of one effect, and whether that is right."""
+class Task:
+    """Effects that a device shall have, each as loud as is asked."""
 
-    effect: Emulated
-    snr: float
-    size: float
+    names: tuple[str, ...]
+    snrs: tuple[float, ...]
+
+    @property
+    def kind(self) -> str:
+        """What it is counted among."""
+        if len(self.names) > 1:
+            return "pairs"
+        return f"SNR {self.snrs[0]:g}, {'of the registry' if _effect(self.names[0]).registry else 'strangers'}"
+
+    def __str__(self) -> str:
+        return " + ".join(f"{name} ({snr:g})" for name, snr in zip(self.names, self.snrs, strict=True))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was said of it, and whether that is right."""
+
+    task: Task
+    sizes: tuple[float, ...]
     right: bool
     said: str
 
@@ -92,25 +110,46 @@ def _healthy(path: Path) -> tuple[Campaign, CampaignModel]:
     return campaign, looked_at(campaign)
 
 
-def judged(path: Path, name: str, snr: float, seed: int) -> Outcome | None:
-    """Diagnose a file with one effect more; None where the nuisances hide it."""
+def _effect(name: str) -> Emulated:
+    return next(e for e in (*EMULATED, *UNSEEN) if e.name == name)
+
+
+def judged(path: Path, task: Task, seed: int) -> Outcome | None:
+    """Diagnose a file with these effects more; None where the nuisances hide one."""
     campaign, model = _healthy(path)
-    effect = next(e for e in (*EMULATED, *UNSEEN) if e.name == name)
-    z = np.random.default_rng([seed, *effect.name.encode()]).normal(size=4)
-    size = size_of(model, effect, z, snr)
-    if size is None:
-        return None
+    sizes = []
+    for name, snr in zip(task.names, task.snrs, strict=True):
+        effect, z = _effect(name), np.random.default_rng([seed, *name.encode()]).normal(size=4)
+        size = size_of(model, effect, z, snr)
+        if size is None:
+            return None
+        campaign = altered(campaign, model, effect, z, size)
+        sizes.append(size)
     try:
-        found = diagnose(altered(campaign, model, effect, z, size))
+        found = diagnose(campaign)
     except DataError as error:
-        return Outcome(effect, snr, size, False, f"refused: {error}")
-    return Outcome(effect, snr, size, _is_right(effect, found), _said(found))
+        return Outcome(task, tuple(sizes), False, f"refused: {error}")
+    return Outcome(task, tuple(sizes), _is_right(task, found), _said(found))
 
 
-def _is_right(effect: Emulated, found: Diagnosis) -> bool:
-    if not effect.registry:
+def _is_right(task: Task, found: Diagnosis) -> bool:
+    named = [set(_effect(name).registry) for name in task.names]
+    if not all(named):
         return found.verdict == "unknown"
-    return found.verdict == "effects" and len(found.effects) == 1 and bool(set(effect.registry) & set(found.effects[0].group))
+    groups = [set(e.group) for e in found.effects]
+    matching = (all(a & b for a, b in zip(named, order, strict=True)) for order in permutations(groups))
+    return found.verdict == "effects" and len(groups) == len(named) and any(matching)
+
+
+def drawn_pairs(count: int, snrs: Sequence[float], seed: int) -> list[Task]:
+    """Pairs of effects of the registry that no name has in common."""
+    rng, known = np.random.default_rng([seed, 2]), [e for e in EMULATED if e.registry]
+    found: list[Task] = []
+    while len(found) < count:
+        a, b = (known[k] for k in rng.choice(len(known), 2, replace=False))
+        if not set(a.registry) & set(b.registry):
+            found.append(Task((a.name, b.name), tuple(float(x) for x in rng.choice(np.asarray(snrs), 2))))
+    return found
 
 
 def _said(found: Diagnosis) -> str:
@@ -126,22 +165,24 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--snr", nargs="+", type=float, default=[100.0])
     parser.add_argument("--unseen", action="store_true", help="effects that were drawn up after the diagnosis")
+    parser.add_argument("--pairs", type=int, default=0, help="so many pairs of effects of the registry instead, of these ratios")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", default=[], help="effects whose name holds one of these")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     effects = UNSEEN if options.unseen else EMULATED
     names = [e.name for e in effects if not options.only or any(text in e.name for text in options.only)]
-    tasks = [(options.file, name, snr, options.seed) for snr in options.snr for name in names]
+    tasks = [Task((name,), (snr,)) for snr in options.snr for name in names]
+    if options.pairs:
+        tasks = drawn_pairs(options.pairs, options.snr, options.seed)
     if options.jobs > 1:
         with ProcessPoolExecutor(options.jobs) as pool:
-            outcomes = _told(pool.map(judged, *zip(*tasks, strict=True)))
+            outcomes = _told(pool.map(judged, repeat(options.file), tasks, repeat(options.seed)))
     else:
-        outcomes = _told(judged(*task) for task in tasks)
-    for snr in options.snr:
-        for kind, of in (("of the registry", True), ("strangers", False)):
-            some = [o for o in outcomes if o.snr == snr and bool(o.effect.registry) == of]
-            print(f"SNR {snr:g}, {kind}: {sum(o.right for o in some)} of {len(some)} right", flush=True)
+        outcomes = _told(judged(options.file, task, options.seed) for task in tasks)
+    for kind in dict.fromkeys(o.task.kind for o in outcomes):
+        some = [o for o in outcomes if o.task.kind == kind]
+        print(f"{kind}: {sum(o.right for o in some)} of {len(some)} right", flush=True)
 
 
 def _told(outcomes: Iterable[Outcome | None]) -> list[Outcome]:
@@ -149,8 +190,8 @@ def _told(outcomes: Iterable[Outcome | None]) -> list[Outcome]:
     for o in outcomes:
         if o is not None:
             found.append(o)
-            mark = "ok   " if o.right else "WRONG"
-            print(f"{mark} SNR {o.snr:g}  {o.effect.name:36s} size {o.size:9.3g}  {o.said}", flush=True)
+            sizes = ", ".join(f"{size:.3g}" for size in o.sizes)
+            print(f"{'ok   ' if o.right else 'WRONG'} {o.task!s:42} size {sizes:>9}  {o.said}", flush=True)
     return found
 
 
