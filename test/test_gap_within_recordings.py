@@ -118,6 +118,17 @@ def test_a_force_that_jumps_once_is_a_finding() -> None:
     assert (found.channel, found.kicks, found.records) == ("precession", False, ("static_0",))
 
 
+def test_a_force_that_jumps_again_and_again_need_not_jump_far() -> None:
+    """One of seven usual sizes is what chance may do in a hundred campaigns, six are not: a rate that hops by 45 deg/h on a ring."""
+    quiet = flows(np.random.default_rng(4), count=12)
+    hopping = [with_more(f, "precession", 3e-5 * step(3.0 + k)) for k, f in enumerate(quiet[:9])]
+    found = find_jumps([*hopping, *quiet[9:]])
+    assert found is not None
+    assert (found.channel, found.kicks) == ("precession", False)
+    assert found.count >= 6
+    assert found.largest < 12.0
+
+
 def test_a_knock_is_none_and_a_pick_off_that_hops_is() -> None:
     """A kick in one row is what a gain that jumps leaves, and what a knock on the bench does: it counts when it comes again."""
     kick = np.zeros(ROWS)

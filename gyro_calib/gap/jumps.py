@@ -25,12 +25,15 @@ __all__ = ["Jumps", "find_jumps"]
 FloatArray = NDArray[np.float64]
 #: windows before and after a row [s]; they fit into a recording that is so many times as long
 _WINDOWS_S, _TIMES = (0.5, 1.5, 4.0), 3.0
-#: a deviation over its usual size that is a jump; usual size of a normal deviate over the median of its magnitude
-_JUMP, _MEDIAN = 8.0, 1.4826
+#: so many deviations of so many usual sizes are a finding: 18 healthy campaigns have one of 6.2 at most, a hemisphere five of 4.5 and more
+_FINDINGS = ((3, 8.0), (6, 6.0))
+_LEAST = min(size for _, size in _FINDINGS)
+#: usual size of a normal deviate over the median of its magnitude
+_MEDIAN = 1.4826
 #: share of the largest one from which on others are counted
 _COUNTED = 0.3
-#: so many jumps are a finding, or one of a force of so many usual sizes: a knock is an impulse, and comes alone
-_FEWEST, _ALONE = 3, 12.0
+#: one of a force of so many usual sizes is a finding, too: a knock is an impulse, and comes alone
+_ALONE = 12.0
 #: what jumps, by channel, for a force and for an impulse
 _WORDS = {
     "amplitude": ("drive or pick-off", "in phase", "x times a gain or a loss that jumps"),
@@ -104,7 +107,8 @@ def _of_channel(kinds: Sequence[Sequence[FlowLeft]], channel: str, window_s: flo
     for kicks in (False, True):
         largest = max((e.size for e in events if e.kick is kicks), default=0.0)
         some = [e for e in events if e.kick is kicks and e.size > _COUNTED * largest]
-        if len(some) >= _FEWEST or (largest > _ALONE and not kicks):
+        several = any(sum(e.size > size for e in some) >= count for count, size in _FINDINGS)
+        if several or (largest > _ALONE and not kicks):
             found.append(Jumps(channel, kicks, len(some), largest, tuple(dict.fromkeys(e.label for e in some))))
     return found
 
@@ -120,7 +124,7 @@ def _events(members: Sequence[FlowLeft], channel: str, window_s: float) -> list[
         # a recording that moves all the time has no jumps
         usual = np.maximum(of_all, _MEDIAN * np.median(deviation, axis=1, keepdims=True))
         size, apart = deviation / usual, round(2.0 * window_s / flow.row_s)
-        while (largest := float(size.max())) > _JUMP:
+        while (largest := float(size.max())) > _LEAST:
             kick, place = np.unravel_index(int(np.argmax(size)), size.shape)
             events.append(_Event(flow.label, bool(kick), largest))
             size[:, max(0, place - apart) : place + apart + 1] = 0.0
