@@ -116,6 +116,7 @@ APART: dict[str, Factor] = {
 MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x|^1/2 x", "amplitude"): [lambda s, x: size_of(x) ** 0.5 * x],
     ("|x| x", "amplitude"): [lambda s, x: size_of(x) * x],
+    ("|x|^3/2 x", "amplitude"): [lambda s, x: size_of(x) ** 1.5 * x],
     ("|x|^2 x", "amplitude"): [lambda s, x: size_of(x) ** 2 * x, lambda s, x: conjugate_product(x)],
     ("|x_j|^2 x_j", "amplitude"): _on_each(lambda s, x: np.abs(x) ** 2 * x),
     ("|x_k|^2 x_k on the other axis", "amplitude"): _on_each(lambda s, x: (np.abs(x) ** 2 * x)[:, ::-1]),
