@@ -7,7 +7,8 @@ linear in its parameters. What is not (a level, a time constant, a frequency) is
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -29,6 +30,8 @@ _UNLIKE: dict[str, ComplexArray] = {
     "mixed": np.array([[0.0, 0.5], [0.5, 0.0]], dtype=np.complex128),
     "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
 }
+#: of these what lets one axis see the other
+_CROSSED = ("mixed", "late")
 _STEP = 1e-4
 #: share of the wave below which an axis rests
 AT_REST = 3e-3
@@ -224,10 +227,13 @@ def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: com
     return Form(lambda s, d, g: [Part(parameter, "flow", factor * f(_motion(s, d))), *_skewed(_motion(s, d), f, factor)])
 
 
-def _skewed(p: ComplexArray, f: Callable[[ComplexArray], ComplexArray], factor: complex) -> list[Part]:
+def _skewed(
+    p: ComplexArray, f: Callable[[ComplexArray], ComplexArray], factor: complex, names: Iterable[str] = tuple(_UNLIKE)
+) -> list[Part]:
     """How an effect of the motion looks in the volts of pick-offs P = 1 + e that are not alike: ``P f(P^-1 p) - f(p)``, per unit of e."""
     parts = []
-    for name, e in _UNLIKE.items():
+    for name in names:
+        e = _UNLIKE[name]
         turned = p @ e.T
         bent = (f(p + _STEP * turned) - f(p - _STEP * turned)) / (2.0 * _STEP)
         parts.append(Part(f"{SKEW}_{name}", "flow", factor * (f(p) @ e.T - bent)))
@@ -239,9 +245,15 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
 
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         p = _motion(s, d)
-        if setting["axes"]:
-            return _by_axis("flow", letter, factor * cube(p))
-        return [Part(letter, "flow", factor * _isotropic_cubic(p)), *_skewed(p, _isotropic_cubic, factor)]
+        if not setting["axes"]:
+            return [Part(letter, "flow", factor * _isotropic_cubic(p)), *_skewed(p, _isotropic_cubic, factor)]
+        # gains and phases of single axes leave a cube of that axis what it is
+        crossed = [
+            replace(part, parameter=f"{part.parameter}_{a}")
+            for axis, a in zip(np.eye(2), "xy", strict=True)
+            for part in _skewed(p, lambda v, axis=axis: axis * cube(v), factor, _CROSSED)  # type: ignore[misc]
+        ]
+        return [*_by_axis("flow", letter, factor * cube(p)), *crossed]
 
     return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
 
