@@ -70,6 +70,23 @@ def test_in_open_drive_the_other_axis_rubs_in_its_own_phase(phase: float) -> Non
         assert (np.abs(found @ told - rubbed).max() < 1e-6) == (mode == "loops_off" or phase == 0.0)
 
 
+@pytest.mark.parametrize(("name", "factor"), [("duffing", 1j), ("nonlinear_damping", -1.0)])
+@pytest.mark.parametrize("skew", [2e-3, 2e-3j])
+def test_a_cube_of_each_axis_is_read_as_pickoffs_that_are_not_square_do(name: str, factor: complex, skew: complex) -> None:
+    """What the axes do is reckoned in their own motion, P^-1 p, and read by P: all but its square in the skew is in the columns."""
+    signals, linear = moving(0.0)
+    sizes = np.array([0.7, 1.3])
+    P = np.eye(2) + 0.5 * skew * np.array([[0.0, 1.0], [1.0, 0.0]])
+    read = factor * (sizes * cube(signals.pick @ np.linalg.inv(P).T)) @ P.T - factor * sizes * cube(signals.pick)
+    parts = {p.parameter: p.signal for p in FORMS[name].parts(signals, linear, {"axes": 1.0})}
+    of = {2e-3: "mixed", 2e-3j: "late"}[skew]
+    told = sum(size * abs(skew) * parts[f"{SKEW}_{of}_{axis}"] for size, axis in zip(sizes, "xy", strict=True))
+    assert np.abs(read).max() > 1e-4
+    np.testing.assert_allclose(told, read, atol=3.0 * abs(skew) * np.abs(read).max())
+    letters = {p[0] for p in parts if not p.startswith(SKEW)}
+    assert len(letters) == 1
+
+
 @pytest.mark.parametrize("skew", [2e-4, -1e-3])
 def test_an_axis_at_rest_rubs_as_its_pickoffs_are_not_square(skew: float) -> None:
     """Held along x as read, the motion has a little of y: of dry friction by axis that is all, against or with the wave."""

@@ -92,7 +92,7 @@ def test_friction_of_each_axis_is_found_by_an_axis_at_rest_whose_pickoffs_are_no
 
 
 def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force() -> None:
-    """A split by the inverse of the amplitude: constants of drive and pick-off and another mode took nine tenths of it."""
+    """A split by the inverse of the amplitude: constants of drive and pick-off and another mode left but noise of it."""
     model = looked_at(on_a_table())
     term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", "x/|x|, as a split"))
     selection = selected([term.columns[0]], 60.0)

@@ -60,7 +60,7 @@ _OF_DRIVE = (
     "u_x u_y x on the other axis, u the drives",
 )
 _OF_MOTION = ("|p_j|^2 x_j, p the motion",)
-#: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis
+#: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis; splits; what vibration warms
 _OF_FLOW = ("|x of 15 s|^2 x", "|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split")
 #: effects of a level, tried with any share of what lies beyond it: a knee that is soft; and of whose levels a loss or a stiffness may begin
 _KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}

@@ -25,7 +25,7 @@ __all__ = ["Jumps", "find_jumps"]
 FloatArray = NDArray[np.float64]
 #: windows before and after a row [s]; they fit into a recording that is so many times as long
 _WINDOWS_S, _TIMES = (0.5, 1.5, 4.0), 3.0
-#: so many deviations of so many usual sizes are a finding: 18 healthy campaigns have one of 6.2 at most, a hemisphere five of 4.5 and more
+#: so many deviations of so many usual sizes are a finding: 16 healthy campaigns have one of 6.2 at most, a hemisphere five of 4.5 and more
 _FINDINGS = ((3, 8.0), (6, 6.0))
 _LEAST = min(size for _, size in _FINDINGS)
 #: usual size of a normal deviate over the median of its magnitude

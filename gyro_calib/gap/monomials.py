@@ -86,15 +86,17 @@ def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
 
 
 def _warmed(s: Signals, tau_s: float, power: Callable[[Signals], ComplexArray]) -> FloatArray:
-    """How far a power of some time is behind that of now, shape (n, 1)."""
+    """How far a power through a low-pass is ahead of that of now [V^2], shape (n, 1)."""
     return s.once(("warmed", tau_s, power), None, lambda: np.asarray((remembered(s, power, tau_s) - power(s)).real))
 
 
 def _of_drives(s: Signals) -> ComplexArray:
+    """Their power [V^2], shape (n, 1)."""
     return (size_of(s.drive) ** 2).astype(np.complex128)
 
 
 def _of_motion(s: Signals) -> ComplexArray:
+    """Its energy [V^2], shape (n, 1)."""
     return (size_of(s.pick) ** 2).astype(np.complex128)
 
 

@@ -89,20 +89,20 @@ def unnamed_counts(found: Screened, effects: Sequence[Screened]) -> bool:
 def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequence[Screened], first: Sequence[Screened]) -> Stranger | None:
     """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
     screener = model.screener_with(chosen)
-    rest = _unnamed(model, screener, chosen)
+    rest = _most_worth(_unnamed(model, screener, chosen))
     nearest = first[0].name if first else ""
     significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
     before = model.screener.chi2 - model.screener.dof
     share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
-    if rest:
-        best, term = max(rest, key=lambda pair: worth_of(pair[0]))
-        alone = max(_unnamed(model, model.screener), key=lambda pair: worth_of(pair[0]), default=None) if chosen else None
+    if rest is not None:
+        best, term = rest
         if unnamed_counts(best, effects) and _seen_at_rest(model, chosen, best, term):
             # three names that are not it say less of it than the one term that comes nearest
-            if alone is not None and len(effects) >= _TOO_MANY:
-                best, term = alone
+            said = _most_worth(_unnamed(model, model.screener)) if len(effects) >= _TOO_MANY else None
+            best, term = said or rest
             return Stranger(term, best, nearest)
         if chosen:
+            alone = _most_worth(_unnamed(model, model.screener))
             named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, first))
             if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects)):
                 return Stranger(alone[1], alone[0], nearest)
@@ -113,8 +113,12 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
 
 def unnamed_rest(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
     """The anonymous term that says most of what effects leave."""
-    best, term = max(_unnamed(model, model.screener_with(chosen), chosen), key=lambda pair: worth_of(pair[0]), default=(None, None))
-    return Stranger(term, best, nearest) if best is not None and term is not None else None
+    most = _most_worth(_unnamed(model, model.screener_with(chosen), chosen))
+    return Stranger(most[1], most[0], nearest) if most is not None else None
+
+
+def _most_worth(found: Sequence[tuple[Screened, Anonymous]]) -> tuple[Screened, Anonymous] | None:
+    return max(found, key=lambda pair: worth_of(pair[0]), default=None)
 
 
 def _worth_of_one(model: CampaignModel, chosen: Sequence[Candidate], first: Sequence[Screened]) -> float:
