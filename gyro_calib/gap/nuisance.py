@@ -21,6 +21,7 @@ from .parts import Linear, Part, read_at_once, turned
 from .signals import SMOOTH_S
 
 __all__ = [
+    "BOTH_DRIVES_LATE",
     "BOTH_PICKOFFS",
     "GAIN_PER_K",
     "NOTICED_K",
@@ -38,7 +39,7 @@ FloatArray = NDArray[np.float64]
 GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-5, 5e-3
 #: how the name of what both axes have alike begins
 _BOTH = "both_"
-BOTH_PICKOFFS = f"{_BOTH}thermal_pickoff_gain"
+BOTH_PICKOFFS, BOTH_DRIVES_LATE = f"{_BOTH}thermal_pickoff_gain", f"{_BOTH}drive_delay"
 #: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by tens of ppm/K
 _UNLIKE_PER_K = 0.13
 #: damping that does not go as all of it does, over its anisotropy and over the damping [1/K]
@@ -47,7 +48,7 @@ _OTHERWISE_PER_K, _OTHERWISE_OF_ALL_PER_K = 1e-3, 1e-6
 _LEAST_DAMPING = 0.5
 #: relative curvature of the damping [1/K^2]
 _DAMPING_PER_K2 = 3e-5
-#: a record that is late by some samples of the converters [s]
+#: a record, and the drives, that are late by some samples of the converters [s]
 _LAG_S = 3e-5
 #: how equal drives are that shift the reference and that turn an envelope, gain and phase [rad]
 _OF_STIFFNESS = 1e-5
@@ -139,6 +140,8 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     columns += image_columns(evidence, linear)
     if span_k(evidence) < NOTICED_K:
         return columns
+    # the carrier is as late as its envelope, and its phase follows the frequency: 1e-4 rad/K of a hemisphere
+    columns += _of_both(evidence, linear, "drive_delay", _LAG_S)
     columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
     columns += _blurred_temperature(evidence, linear)
     damping = _damping(evidence, linear)

@@ -11,6 +11,7 @@ from ..effects import EFFECTS
 from .column import Column
 from .evidence import CampaignEvidence
 from .forms import FORMS
+from .nuisance import BOTH_DRIVES_LATE
 from .parts import Linear
 from .screen import Candidate, Screener
 
@@ -105,7 +106,7 @@ def saturated_columns(
     told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
     chosen = [_not_gross(evidence, linear, c) for tried in told.values() for c in _some(tried)]
     if not open_drive(evidence):
-        nuisances = [c for c in nuisances if not c.name.startswith("drive_lag")]
+        nuisances = [c for c in nuisances if not c.name.startswith(("drive_lag", BOTH_DRIVES_LATE))]
         chosen = [c for c in chosen if c.name not in _FAST]
     # few recordings have no equations for all of that: it would explain their noise
     for kept in ([*chosen, *(_small(evidence, linear, c) for c in unnamed)], chosen, _fewest(chosen)):
