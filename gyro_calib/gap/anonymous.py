@@ -15,12 +15,15 @@ from .columns import forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .monomials import APART, FED, LATE, MONOMIALS, RISING, Monomial, size_of
+from .one_axis import heard
 from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
 from .signals import Signals
 
-__all__ = ["Anonymous", "anonymous_candidates"]
+__all__ = ["HEATED", "Anonymous", "anonymous_candidates"]
 
+#: form and phase of what vibration warms: its frequency, all of which lies between records
+HEATED = ("|x of 15 s|^2 x", "in quadrature")
 #: where a term enters, as it is told to people
 LOCATIONS: dict[Kind, str] = {"flow": "dynamics", "drive": "drive", "output": "pick-off"}
 
@@ -61,7 +64,7 @@ _OF_DRIVE = (
 )
 _OF_MOTION = ("|p_j|^2 x_j, p the motion",)
 #: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis; splits; what vibration warms
-_OF_FLOW = ("|x of 15 s|^2 x", "|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split")
+_OF_FLOW = (HEATED[0], "|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split")
 #: effects of a level, tried with any share of what lies beyond it: a knee that is soft; and of whose levels a loss or a stiffness may begin
 _KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}
 _OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2
@@ -111,7 +114,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                     monomials = [lambda s, x, f=APART[text]: f(s) * x * np.array([1.0, -1.0])]  # type: ignore[misc]
                 forms.append((Anonymous(location, phase, text, depends), _form(kind, monomials, factor, at_once=depends in _AT_ONCE)))
     made = forms_columns(evidence, [(form, {}) for _, form in forms], linear)
-    for (term, _), columns in zip(forms, made, strict=True):
+    for (term, _), columns in zip(forms, (heard(evidence, columns) for columns in made), strict=True):
         if any(np.any(v) for c in columns for v in c.signal):
             found.append((term, Candidate(f"{term.location} {term.form}", {}, tuple(columns), np.full(len(columns), 0.1))))
     return found + _knees(evidence, linear)

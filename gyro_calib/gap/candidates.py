@@ -11,6 +11,7 @@ from .column import Column
 from .columns import form_columns, forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
+from .one_axis import heard
 from .parts import REST, SKEW, UNEQUAL, Linear, Setting
 from .screen import Candidate
 
@@ -51,7 +52,7 @@ def candidates_of(
     found: dict[str, list[Candidate]] = {}
     for (name, setting, choices), columns in zip(tried, made, strict=True):
         if any(np.any(v) for column in columns for v in column.signal):
-            found.setdefault(name, []).append(_candidate(name, setting, columns, choices))
+            found.setdefault(name, []).append(_candidate(name, setting, heard(evidence, columns), choices))
     return found
 
 
@@ -71,7 +72,8 @@ def candidate_at(
     sizes : mapping, optional
         Of an effect that was found: what pick-offs that are not alike make of it is then of known size.
     """
-    return _candidate(name, setting, form_columns(evidence, FORMS[name], linear, setting, unlike=sizes is not None), choices, sizes)
+    columns = heard(evidence, form_columns(evidence, FORMS[name], linear, setting, unlike=sizes is not None))
+    return _candidate(name, setting, columns, choices, sizes)
 
 
 def _candidate(name: str, setting: Setting, columns: Sequence[Column], choices: int, sizes: Mapping[str, float] | None = None) -> Candidate:

@@ -15,6 +15,7 @@ from .column import Column
 from .columns import QUIET, SIGNAL
 from .evidence import CampaignEvidence, RecordingEvidence
 from .followed import Followed, followed_by
+from .one_axis import of_both, untied
 from .parts import Linear
 
 __all__ = [
@@ -102,14 +103,15 @@ def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None) -> 
     columns: list[Column] = []
     bodies = sorted({_body(r) for r in evidence if _body(r) > 0.0})
     open_drive = {round(_open(r), 3) for r in evidence if _open(r) > 0.0}
+    driven = {r.recording.command.excitation.axis for r in evidence if _open(r) > 0.0}
     feeds = float(np.abs(linear.E).max()) if linear is not None else FEEDTHROUGH
     for a in range(2):
         for b in range(2):
             place = f"{'xy'[a]}{'xy'[b]}"
             columns += collected(f"A_{place}", evidence, entry("pick", a, b))
             columns += collected(f"G_{place}", evidence, entry("drive", a, b))
-            # without open drive a feedthrough of usual size is allowed for, not taken to be absent
-            known = np.inf if open_drive else FEEDTHROUGH
+            # without open drive of its axis a feedthrough of usual size is allowed for, not taken to be absent
+            known = np.inf if "xy"[b] in driven else FEEDTHROUGH
             columns += _feedthrough(place, evidence, linear, (a, b), known)
             if len(open_drive) > 1:
                 for name, power, over_e in (("dispersion", 1, _DISPERSION), ("bent_dispersion", 2, _BENT_DISPERSION)):
@@ -121,7 +123,7 @@ def linear_columns(evidence: CampaignEvidence, linear: Linear | None = None) -> 
             columns += collected(f"force_{'xy'[a]}", evidence, entry("constant", a, None, lambda r: float(r.is_wave)))
     if linear is not None and len(open_drive) > 1:
         columns += _ringing(evidence, linear.G / np.abs(linear.G).max())
-    return columns
+    return of_both(evidence, columns)
 
 
 def _ringing(evidence: CampaignEvidence, direction: ComplexArray) -> list[Column]:
@@ -196,7 +198,7 @@ def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_g
         entries = [values.get(f"{letter}_{p}_re", 0.0) + 1j * values.get(f"{letter}_{p}_im", 0.0) for p in ("xx", "xy", "yx", "yy")]
         return np.array(entries).reshape(2, 2)
 
-    A, reduced, E = matrix("A"), matrix("G"), matrix("E")
+    (A, reduced), E = untied(evidence, matrix("A"), matrix("G")), matrix("E")
     moved = tuple(_moved(r, values) for r in evidence)
     return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), moved, followed)
 
