@@ -11,13 +11,16 @@ import pytest
 from added_effects import with_effects
 from table_samples import looked_at, on_a_table
 
+from gyro_calib.gap.anonymous import HEATED
 from gyro_calib.gap.column import Column
+from gyro_calib.gap.floors import beside_wander
 from gyro_calib.gap.model import look_at
 from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import Selection, select_effects
-from gyro_calib.gap.strangers import MARGIN, unnamed_counts
+from gyro_calib.gap.strangers import MARGIN, bank_terms, unnamed_counts
+from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -107,6 +110,20 @@ def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander() -> No
     selection = selected([term.columns[1]])
     assert selection.stranger is not None
     assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "|x of 15 s|^2 x")
+
+
+def test_what_lies_between_records_is_asked_beside_a_wander_of_any_size() -> None:
+    """A clean ring's wander was half as large as it was, and what vibration warms 87 in chi-square beside it."""
+    model = looked_at(on_a_table())
+    heated = next(c for t, c in model.bank if (t.location, t.phase, t.form) == ("dynamics", HEATED[1], HEATED[0]))
+    rng = np.random.default_rng(4)
+    shifts = [c for c in model.nuisances if c.name.startswith("shift_") and c.prior_sd < np.inf]
+    wandering = with_columns(model, [(c, 30.0 * c.prior_sd * rng.normal()) for c in shifts])
+    found = wandering.screener.screen(heated)
+    assert found is not None
+    assert found.gain > 80.0, "a wander thirty times as large as it is believed is told by whatever follows the amplitude"
+    assert beside_wander(wandering, [], found) < 20.0
+    assert not any((t.phase, t.form) == (HEATED[1], HEATED[0]) for _, t in bank_terms(wandering, wandering.screener))
 
 
 @pytest.mark.parametrize(("share", "counts"), [(0.003, False), (0.015, True)])

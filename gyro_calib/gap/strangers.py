@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .anonymous import Anonymous
-from .floors import louder_floors
+from .anonymous import HEATED, Anonymous
+from .floors import beside_wander, louder_floors
 from .model import CampaignModel
 from .parts import SKEW
 from .screen import Candidate, Screened, Screener, worth
@@ -166,9 +166,19 @@ def _unnamed(model: CampaignModel, screener: Screener, chosen: Sequence[Candidat
 def bank_terms(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:
     """Unnamed terms beside what a screener holds; those that go with time if they are no 1/f floor."""
     terms = {id(c): a for a, c in model.bank}
-    found = [(s, terms[id(s.candidate)]) for s in screener.screened(c for _, c in model.bank)]
+    screened = ((s, terms[id(s.candidate)]) for s in screener.screened(c for _, c in model.bank))
+    weighed = ((_beside_wander(model, chosen, s) if (a.form, a.phase) == HEATED else s, a) for s, a in screened)
+    found = [(s, a) for s, a in weighed if s is not None]
     no_floors = {id(s) for s in _no_floors(model, chosen, [s for s, a in found if a.depends_on == "time"])}
     return [(s, a) for s, a in found if a.depends_on != "time" or id(s) in no_floors]
+
+
+def _beside_wander(model: CampaignModel, chosen: Sequence[Candidate], found: Screened) -> Screened | None:
+    """What lies between records, if no wander of any size imitates it: as loud as beside the measured one, or beside its own."""
+    if worth_of(found) < 0.0:
+        return None
+    beside = replace(found, gain=beside_wander(model, chosen, found))
+    return max(found, beside, key=worth_of) if worth_of(beside) > MARGIN + BANK_MARGIN + _COURSE_MARGIN else None
 
 
 def _no_floors(model: CampaignModel, chosen: Sequence[Candidate], found: Sequence[Screened]) -> list[Screened]:
