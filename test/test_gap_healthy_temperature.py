@@ -15,7 +15,9 @@ from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.nuisance import following_columns
+from gyro_calib.gap.parts import Form, Linear, Part, Setting
 from gyro_calib.gap.select import select_effects
+from gyro_calib.gap.signals import Signals
 from gyro_calib.simulation import GyroSimulator
 
 
@@ -86,3 +88,41 @@ def test_gains_that_part_while_it_warms_are_no_effect_of_the_registry() -> None:
     selection = select_effects(with_effects(m, [term.columns[0]], 60.0))
     assert selection.stranger is not None
     assert (selection.stranger.term.location, selection.stranger.term.depends_on) == ("pick-off", "temperature")
+
+
+def test_drives_that_are_late_by_some_samples_are_healthy() -> None:
+    """Their carrier's phase follows the frequency: three healthy hemispheres of a third plant, 41 us late, had a delay."""
+    m = model()
+    (delay,) = m.candidates["drive_delay"]
+    clean, _ = m.screener.projected(delay.columns)
+    assert "both_drive_delay" in {c.name for c in m.nuisances}
+    assert np.linalg.norm(clean.sum(axis=1)) * 4e-5 < 2.0
+
+
+def peaking(about_k: float, width_k: float) -> Form:
+    """Damping that peaks about a temperature."""
+
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        peak = 1.0 / (1.0 + ((s.temperature_k - about_k) / width_k) ** 2)
+        return [Part("c", "flow", -peak[:, None] * s.pick)]
+
+    return Form(parts)
+
+
+def test_a_mode_that_crosses_at_one_temperature_is_told_with_where() -> None:
+    """It lasts a second or two of the records that are warmed; three numbers of a curve in T are not that."""
+    m = model()
+    temperatures = np.concatenate([r.signals.temperature_k for r in m.evidence])
+    about = float(temperatures.min() + 0.31 * np.ptp(temperatures))
+    (column,) = form_columns(m.evidence, peaking(about, 0.07 * float(np.ptp(temperatures))), m.linear, {})
+    found = select_effects(with_effects(m, [column], 30.0)).stranger
+    assert found is not None
+    assert (found.term.location, found.term.phase, found.term.depends_on) == ("dynamics", "in phase", "temperature")
+    assert found.term.form.startswith("x times what peaks about ")
+    assert abs(float(found.term.form.split()[-2]) - m.evidence.temperature_degc - about) < 0.15 * float(np.ptp(temperatures))
+
+
+def test_a_healthy_temperature_run_has_no_peak() -> None:
+    m = model()
+    found = m.courses.best(m.screener, m.whitener, "temperature")
+    assert found is None or found[0].gain < 25.0

@@ -109,9 +109,12 @@ def _added(s: Signals, part: Part, linear: Linear) -> ComplexArray:
 
 
 def _projected(projector: Projector, parts: Sequence[Part], added: Sequence[ComplexArray]) -> list[ComplexArray]:
-    """Projections of what each part adds."""
-    out = list(projector.plain(added).T)
-    outputs = [k for k, part in enumerate(parts) if part.kind == "output" and part.speed is None]
+    """Projections of what each part adds; one that does not act in a recording takes no time."""
+    acting = [k for k, signal in enumerate(added) if np.any(signal)]
+    out = [np.zeros(2 * len(projector.value), complex)] * len(parts)
+    for k, column in zip(acting, projector.plain([added[k] for k in acting]).T if acting else (), strict=True):
+        out[k] = column
+    outputs = [k for k, part in enumerate(parts) if part.kind == "output" and part.speed is None and np.any(part.signal)]
     if outputs:
         for column, k in zip(projector.through_flow([parts[k].signal for k in outputs]).T, outputs, strict=True):
             out[k] = out[k] + column

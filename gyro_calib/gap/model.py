@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..effects import EFFECTS
 from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
-from .anonymous import Anonymous, anonymous_candidates
+from .anonymous import HEATED, Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
@@ -179,6 +179,8 @@ def look_at(
         candidate: Candidate | None = course[0].candidate
     else:
         candidate = course_beside_floors(courses, whitener, target_of(evidence, angular_gain), held, drifts)
+    if candidate is None:
+        candidate = _course_of_warming(evidence, courses, noise, excess, held, angular_gain)
     if candidate is not None:
         whitener, noise, excess, held = _weighed(
             evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, [candidate]
@@ -204,7 +206,7 @@ def _weighed(
     """Noise, measured with all effects and ``strangers`` allowed for, and the nuisances at the sizes that they have."""
     # a wave that is turned shows what depends on rate, whatever its name
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
-    strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting]
+    strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting and (a.form, a.phase) != HEATED]
     # whether the registry has a name for a drift or not, a floor is what does not go along a straight line
     straight = [c for a, c in bank if a.depends_on == "time"]
     held = [*nuisances, *drifts]
@@ -232,6 +234,32 @@ def _weighed(
     lean = saturated_columns(evidence, linear, sized, named, [c for c in [*turned, *strange] if c.name in there])
     noise = remeasured(evidence, [*lean, *going], noise, excess, angular_gain)
     return Whitener.of(evidence, noise, excess), noise, excess, sized
+
+
+def _course_of_warming(
+    evidence: CampaignEvidence,
+    courses: Courses,
+    noise: NoiseByRole,
+    excess: Mapping[tuple[int, str], float],
+    held: Sequence[Column],
+    angular_gain: float,
+) -> Candidate | None:
+    """A course of the temperature that counts if recordings that are warmed are as quiet as the others of their mode.
+
+    What happens at one temperature happens in a few seconds of two or three recordings, and is their noise unless it is allowed for.
+    """
+    quiet = {
+        r.noise_key(channel): noise[r.parent_role, channel]
+        for r in evidence
+        for channel in CHANNELS
+        if r.is_warming and channel != "frequency" and (r.parent_role, channel) in noise
+    }
+    alike = {(index, channel): more for (index, channel), more in excess.items() if not evidence.recordings[index].is_warming}
+    whitener = Whitener.of(evidence, {**noise, **quiet}, alike)
+    found = courses.best(Screener(whitener, held, target_of(evidence, angular_gain)), whitener, "temperature")
+    if found is None or worth(found[0].gain, found[0].rank, found[0].candidate.choices) < _COURSE:
+        return None
+    return found[0].candidate
 
 
 def _wander_of_means(evidence: CampaignEvidence, noise: NoiseByRole) -> float:
