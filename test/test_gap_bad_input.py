@@ -222,7 +222,14 @@ def test_attributes_that_contradict_the_data(refusal, spoil, words):
         assert word in text
 
 
-@pytest.mark.parametrize(("factor", "words"), [(-1.0, "sign of applied_rate"), (math.pi / 180.0, "Correct its unit")])
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (-1.0, "sign of applied_rate"),
+        (math.pi / 180.0, "to be in rad/s where deg/s is said. Correct its unit"),
+        (180.0 / math.pi, "to be in deg/s where rad/s is said"),
+    ],
+)
 def test_a_rate_that_the_wave_did_not_follow(refusal, factor, words):
     def spoil(r):
         if "applied_rate" not in r.extras:

@@ -41,6 +41,8 @@ __all__ = ["diagnose"]
 
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
+#: sd of the share that is closed, beyond which it is no figure to be told
+_UNKNOWN_SHARE = 0.5
 
 
 def diagnose(
@@ -301,8 +303,10 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         words.append(f"{e.name} ({size}), or {alike}")
     if all(e.name in SPECTRAL for e in effects):
         return f"Present: {'; and '.join(words)}. It stands in the spectrum beside the carrier and leaves the slow flow alone."
-    closed = f"{100.0 * min(shrunk.closed, 1.0):.1f} %"
-    return f"Present: {'; and '.join(words)}. It closes {closed} of the gap on experiments that it was not found on."
+    present = f"Present: {'; and '.join(words)}."
+    if shrunk.closed_sd > _UNKNOWN_SHARE:
+        return f"{present} How much of the gap it closes, the experiments that it was not found on are too few to tell."
+    return f"{present} It closes {100.0 * min(shrunk.closed, 1.0):.1f} % of the gap on experiments that it was not found on."
 
 
 def _said(q: Quantity) -> str:

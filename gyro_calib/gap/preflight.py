@@ -21,10 +21,10 @@ _INDEX_RANGE, _CLIPPED_INDEX, _VOLTS_RANGE = (0.6, 1.6), 0.05, (0.2, 3.0)
 _REFERENCE_HZ = 0.5
 #: a recording shorter than this share of its like is cut short
 _CUT_SHORT = 0.7
-#: what the response to rate is divided by when applied_rate is in another unit, and how near it must be to that
+#: what the response to rate is multiplied by when applied_rate is in another unit, and how near it must be to that
 _RATE_UNITS = (
-    (57.29578, "to be in rad/s where deg/s is said"),
-    (1.0 / 57.29578, "to be in deg/s where rad/s is said"),
+    (57.29578, "to be in deg/s where rad/s is said"),
+    (1.0 / 57.29578, "to be in rad/s where deg/s is said"),
     (3600.0, "to be in deg/h"),
 )
 _RATE_TOLERANCE = 0.15

@@ -22,6 +22,8 @@ __all__ = ["standings"]
 _SEEN = float(np.sqrt(LEAST_GAIN + 5.0)) + 1.28
 #: an effect that must be this many times its usual size to be seen: cannot tell; and: not testable
 _LARGE, _BEYOND = 5.0, 50.0
+#: share of an effect that is imitated, from which on what is left tells nothing: a pump of a wave that keeps its phase is a damping
+_IMITATED = 1.0 - 1e-4
 
 
 def standings(model: CampaignModel, selection: Selection, without: Sequence[str] = ()) -> tuple[Standing, ...]:
@@ -55,7 +57,7 @@ def _best(model: CampaignModel, screener, name: str) -> Screened | None:  # type
 
 
 def _status(found: Screened) -> tuple[str, Quantity | None]:
-    """Excluded above a size, or too large to be seen here."""
+    """Excluded above a size, whichever of its parameters has it, or too large to be seen here."""
     effect = EFFECTS[registry_name(found.name, found.candidate.setting)]
     first = found.candidate.columns[0].name
     if first not in {p.name for p in effect.parameters} or first in found.candidate.setting:
@@ -65,8 +67,9 @@ def _status(found: Screened) -> tuple[str, Quantity | None]:
         for c, sd in zip(found.candidate.columns, found.sd, strict=True)
         if not c.name.startswith(SKEW)
     ]
-    ratio, parameter, sd = min(limits, key=lambda item: item[0])
+    least, ratio = min(item[0] for item in limits), max(item[0] for item in limits)
+    _, parameter, sd = max(limits, key=lambda item: item[0])
     size = Quantity(_SEEN * sd, sd, parameter.unit)
-    if ratio > _BEYOND:
+    if least > _BEYOND or found.absorbed > _IMITATED:
         return "not testable", size
     return ("cannot tell" if ratio > _LARGE else "excluded"), size
