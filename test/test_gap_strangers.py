@@ -116,12 +116,12 @@ def test_what_lies_between_records_is_asked_beside_a_wander_of_any_size() -> Non
     """A clean ring's wander was half as large as it was, and what vibration warms 87 in chi-square beside it."""
     model = looked_at(on_a_table())
     heated = next(c for t, c in model.bank if (t.location, t.phase, t.form) == ("dynamics", HEATED[1], HEATED[0]))
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(5)
     shifts = [c for c in model.nuisances if c.name.startswith("shift_") and c.prior_sd < np.inf]
     wandering = with_columns(model, [(c, 30.0 * c.prior_sd * rng.normal()) for c in shifts])
     found = wandering.screener.screen(heated)
     assert found is not None
-    assert found.gain > 80.0, "a wander thirty times as large as it is believed is told by whatever follows the amplitude"
+    assert found.gain > 100.0, "a wander thirty times as large as it is believed is told by whatever follows the amplitude"
     assert beside_wander(wandering, [], found) < 20.0
     assert not any((t.phase, t.form) == (HEATED[1], HEATED[0]) for _, t in bank_terms(wandering, wandering.screener))
 
