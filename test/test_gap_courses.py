@@ -127,7 +127,7 @@ def test_a_floor_does_not_grow_until_it_holds_a_step() -> None:
     model = model_of(clean())
     drifts = slow_drifts(model.evidence, model.linear)
     assert course_beside_floors(model.courses, model.whitener, model.target, model.nuisances, drifts) is None
-    steps = [k for k, (form, _) in enumerate(model.courses.forms) if "another from" in form]
+    steps = [k for k, (form, *_) in enumerate(model.courses.forms) if "another from" in form]
     step = model.courses._candidate(steps[len(steps) // 2], 0).columns[1]
     stepped = with_effects(model, [step], 40.0)
     found = course_beside_floors(stepped.courses, stepped.whitener, stepped.target, stepped.nuisances, drifts)
