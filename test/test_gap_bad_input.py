@@ -241,6 +241,13 @@ def test_a_rate_that_the_wave_did_not_follow(refusal, factor, words):
     assert words in refusal(spoil)
 
 
+def test_two_steady_recordings_are_too_few_not_swapped(campaign):
+    """Nothing tells a drive's gain from the damping there: both come out as next to nothing, the cross terms, too."""
+    axes = {r.command.oscillator_axis: r for r in campaign if r.label.startswith("static")}
+    assert set(axes) == {"x", "y"}
+    assert diagnose(replace(campaign, recordings=tuple(axes.values()))).verdict == "not_testable"
+
+
 def test_loops_off_alone_is_no_campaign(refusal):
     assert "loops closed" in refusal(lambda r: r, without=("static", "side", "table", "locate"))
 

@@ -153,7 +153,7 @@ def look_at(
     report(0.25, "fitting the linear device")
     wander, most = _WANDER * evidence.omega0_rad_s, MOST_WANDER * evidence.omega0_rad_s
     linear, rough = _linear(evidence, _first(evidence, wander), angular_gain, 0.0)
-    check_linear(linear, rough, recordings)
+    check_linear(linear, rough, recordings, decay_rate)
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
     linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)

@@ -29,6 +29,8 @@ _RATE_UNITS = (
 )
 _RATE_TOLERANCE = 0.15
 _FEWEST_RECORDINGS = 2
+#: a drive acts on an axis by this share at least of what holds a wave there
+_ACTS = 0.2
 #: share of a wave's power on an axis from which on it is held there
 _HELD_SHARE = 0.25
 
@@ -125,8 +127,23 @@ def _swings(axis: int, recordings: Sequence[Recording]) -> bool:
     return bool(max(shares, default=0.0) > _HELD_SHARE)
 
 
-def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[Recording]) -> None:
+def _held_by(decay_rate: float, recordings: Sequence[Recording]) -> float:
+    """Gain of drives that hold waves against their damping [1/s], whichever columns are whose."""
+    waves = [r for r in recordings if r.command.mode != "loops_off"]
+    return decay_rate * float(np.median([np.linalg.norm(r.pick) / max(float(np.linalg.norm(r.drive)), 1e-300) for r in waves]))
+
+
+def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[Recording], decay_rate: float) -> None:
     """Refuse a linear device that no gyro can be: columns with a wrong sign, swapped, or in other units.
+
+    Parameters
+    ----------
+    linear : Linear
+    values : dict
+        Of the fit that told it.
+    recordings : sequence of Recording
+    decay_rate : float
+        Rough 1/tau [1/s].
 
     Raises
     ------
@@ -134,7 +151,8 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
     """
     G, A = linear.G, linear.A
     straight, crossed = np.abs(np.diag(G)), np.abs([G[0, 1], G[1, 0]])
-    if crossed.min() > straight.max():
+    # two steady recordings leave both at nothing
+    if crossed.min() > max(straight.max(), _ACTS * _held_by(decay_rate, recordings)):
         raise DataError(
             f"Each drive must move its own axis, but x drive acts on y by {crossed[1]:.3g} and on x by {straight[0]:.3g} 1/s. "
             "The drive columns (or the pick-off columns) of x and y look swapped."
