@@ -18,6 +18,7 @@ from gyro_calib.gap.nuisance import following_columns
 from gyro_calib.gap.parts import Form, Linear, Part, Setting
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import Signals
+from gyro_calib.gap.standing import standings
 from gyro_calib.simulation import GyroSimulator
 
 
@@ -126,3 +127,15 @@ def test_a_healthy_temperature_run_has_no_peak() -> None:
     m = model()
     found = m.courses.best(m.screener, m.whitener, "temperature")
     assert found is None or found[0].gain < 25.0
+
+
+def test_an_effect_is_excluded_above_what_its_worst_parameter_leaves() -> None:
+    """A split of 5e-4 rad/s/K in its worse direction stood in a ring's data where 1.85e-4 was excluded, and a pump above a fiftieth."""
+    m = model()
+    (split,) = m.screener.screened(m.candidates["thermal_split"])
+    lines = {s.name: s for s in standings(m, select_effects(m))}
+    limit = lines["thermal_split"].excluded_above
+    assert limit is not None
+    assert limit.sd == max(split.sd)
+    assert limit.value > 5.0 * max(split.sd)
+    assert lines["parametric_pump"].status == "not testable"

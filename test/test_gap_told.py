@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from gyro_calib.gap.column import Column
+from gyro_calib.gap.diagnose import _summary
 from gyro_calib.gap.diagnosis import FoundEffect
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screener
@@ -93,3 +95,12 @@ def test_a_variant_by_axis_is_named_where_the_axes_are_unlike(y: float, named: b
     sizes = {"k_x": Quantity(0.4e-6, 3e-7, "1/s/V^2"), "k_y": Quantity(y, 3e-7, "1/s/V^2")}
     found = FoundEffect("duffing", "Stiffness", ("duffing",), 0.9, sizes, "dynamics", "duffing_axes", 80.0)
     assert found.to_json()["group"] == (["duffing", "duffing_axes"] if named else ["duffing"])
+
+
+@pytest.mark.parametrize(("sd", "words"), [(0.1, "closes 46.7 %"), (28.5, "too few to tell")])
+def test_a_share_that_nobody_knows_is_not_told(sd: float, words: str) -> None:
+    """A healthy hemisphere's delay "closed 46.7 %" of the gap, give or take 2854 %."""
+    effect = SimpleNamespace(name="drive_delay", group=("drive_delay",), parameters={"tau_x": Quantity(4e-5, 5e-6, "s")})
+    said = _summary("effects", (effect,), None, SimpleNamespace(closed=0.467, closed_sd=sd))  # type: ignore[arg-type]
+    assert words in said
+    assert said.startswith("Present: drive_delay (tau_x = 4e-05")

@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..recording.recording import Recording
 from .column import Column
-from .evidence import CampaignEvidence, RecordingEvidence
+from .evidence import CampaignEvidence
 
-__all__ = ["axis_alone", "heard", "of_both", "untied"]
+__all__ = ["axis_alone", "heard", "holding_gain", "of_both", "untied"]
 
 ComplexArray = NDArray[np.complex128]
 #: how far damping and gain of one axis may be from the other's, sd over them, and how far its resonance, over its frequency
@@ -51,7 +52,7 @@ def of_both(evidence: CampaignEvidence, columns: Sequence[Column]) -> list[Colum
     if axis is None:
         return list(columns)
     own, other = "xy"[axis] * 2, "yx"[axis] * 2
-    gain = evidence.decay_rate * float(np.median([_held(r) for r in evidence if r.is_wave]))
+    gain = holding_gain([r.recording for r in evidence], evidence.decay_rate)
     known = {
         f"A_{other}_re": _DAMPING * evidence.decay_rate,
         f"A_{other}_im": _SPLIT * evidence.omega0_rad_s,
@@ -89,6 +90,19 @@ def _stem(name: str) -> str:
     return name[:-1] if name[-1] in "xy0123456789" else name
 
 
+def holding_gain(recordings: Sequence[Recording], decay_rate: float) -> float:
+    """Gain of drives that hold waves against their damping [1/s], whichever columns are whose.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    decay_rate : float
+        Rough 1/tau [1/s].
+    """
+    waves = [r for r in recordings if r.command.mode != "loops_off"]
+    return decay_rate * float(np.median([np.linalg.norm(r.pick) / max(float(np.linalg.norm(r.drive)), 1e-300) for r in waves]))
+
+
 def untied(evidence: CampaignEvidence, A: ComplexArray, G: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """A and G, shape (2, 2), of values of the columns of :func:`of_both`."""
     axis = axis_alone(evidence)
@@ -98,12 +112,6 @@ def untied(evidence: CampaignEvidence, A: ComplexArray, G: ComplexArray) -> tupl
     A[other, other] += A[axis, axis].real
     G[other, other] += G[axis, axis]
     return A, G
-
-
-def _held(r: RecordingEvidence) -> float:
-    """Amplitude over the drive that holds it."""
-    s = r.signals
-    return float(np.sqrt(np.sum(np.abs(s.pick) ** 2) / np.sum(np.abs(s.drive) ** 2)))
 
 
 def _summed(one: Column, other: Column) -> Column:

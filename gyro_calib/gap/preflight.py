@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import DataError
 from ..recording.applied_rate import is_turned
 from ..recording.recording import Campaign, Recording
+from .one_axis import holding_gain
 from .parts import Linear
 
 __all__ = ["check_campaign", "check_linear", "usable"]
@@ -127,12 +128,6 @@ def _swings(axis: int, recordings: Sequence[Recording]) -> bool:
     return bool(max(shares, default=0.0) > _HELD_SHARE)
 
 
-def _held_by(decay_rate: float, recordings: Sequence[Recording]) -> float:
-    """Gain of drives that hold waves against their damping [1/s], whichever columns are whose."""
-    waves = [r for r in recordings if r.command.mode != "loops_off"]
-    return decay_rate * float(np.median([np.linalg.norm(r.pick) / max(float(np.linalg.norm(r.drive)), 1e-300) for r in waves]))
-
-
 def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[Recording], decay_rate: float) -> None:
     """Refuse a linear device that no gyro can be: columns with a wrong sign, swapped, or in other units.
 
@@ -152,7 +147,7 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
     G, A = linear.G, linear.A
     straight, crossed = np.abs(np.diag(G)), np.abs([G[0, 1], G[1, 0]])
     # two steady recordings leave both at nothing
-    if crossed.min() > max(straight.max(), _ACTS * _held_by(decay_rate, recordings)):
+    if crossed.min() > max(straight.max(), _ACTS * holding_gain(recordings, decay_rate)):
         raise DataError(
             f"Each drive must move its own axis, but x drive acts on y by {crossed[1]:.3g} and on x by {straight[0]:.3g} 1/s. "
             "The drive columns (or the pick-off columns) of x and y look swapped."

@@ -62,14 +62,13 @@ def _status(found: Screened) -> tuple[str, Quantity | None]:
     first = found.candidate.columns[0].name
     if first not in {p.name for p in effect.parameters} or first in found.candidate.setting:
         return ("excluded" if _SEEN * float(found.sd[0]) < 1.0 else "cannot tell"), None
-    limits = [
-        (_SEEN * float(sd) / effect.parameter(c.name).typical, effect.parameter(c.name), float(sd))
+    limits = sorted(
+        (_SEEN * float(sd) / effect.parameter(c.name).typical, float(sd), effect.parameter(c.name).unit)
         for c, sd in zip(found.candidate.columns, found.sd, strict=True)
         if not c.name.startswith(SKEW)
-    ]
-    least, ratio = min(item[0] for item in limits), max(item[0] for item in limits)
-    _, parameter, sd = max(limits, key=lambda item: item[0])
-    size = Quantity(_SEEN * sd, sd, parameter.unit)
+    )
+    (least, *_), (ratio, sd, unit) = limits[0], limits[-1]
+    size = Quantity(_SEEN * sd, sd, unit)
     if least > _BEYOND or found.absorbed > _IMITATED:
         return "not testable", size
     return ("cannot tell" if ratio > _LARGE else "excluded"), size

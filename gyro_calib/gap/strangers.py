@@ -158,7 +158,7 @@ def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Scre
 
 
 def _unnamed(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:
-    """Unnamed terms beside what a screener holds, and of the courses of time the best."""
+    """Unnamed terms beside what a screener holds, and of the courses of time and temperature the best."""
     found, course = bank_terms(model, screener, chosen), model.courses.best(screener, model.whitener)
     return [*found, course] if course is not None and _no_floors(model, chosen, [course[0]]) else found
 
