@@ -157,6 +157,17 @@ def listed(of: tuple[CampaignModel, Candidate]) -> tuple[CampaignModel, list[Can
     return of[0], [of[1]]
 
 
+def test_both_halves_hold_an_open_drive_of_each_axis_at_two_distances() -> None:
+    """As a file has them: x and y by turns, so that one half had all of x and the other all of y."""
+    model, _ = toy(np.zeros(COUNT), 0)
+    for k, r in enumerate(model.evidence):
+        excitation = SimpleNamespace(kind="drive", axis="xy"[k % 2])
+        command = SimpleNamespace(setpoints=SimpleNamespace(amplitude_v=0.0), excitation=excitation)
+        r.role, r.recording = f"open at {15000 + 20 * (k // 2)} Hz", SimpleNamespace(command=command)  # type: ignore[misc,assignment]
+    for half in halves(model):
+        assert sorted("xy"[k % 2] for k in half) == ["x", "x", "y", "y"]
+
+
 def test_halves_of_one_size_disagree_by_chance_alone() -> None:
     found = [halves_disagree(model, [effect]) for model, effect in (toy(np.full(COUNT, 3.0), seed) for seed in range(200))]
     assert sum(found) <= 2  # 0.2 are expected

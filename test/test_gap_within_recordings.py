@@ -97,6 +97,16 @@ def test_a_resonance_that_wanders_does_not_swing() -> None:
         assert find_swing(still) is None
 
 
+def test_a_hump_of_the_loops_is_no_swing() -> None:
+    """Of a reference that follows the resonance: three times what white, flicker and walk say, from one hertz to three."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        pole = 0.97 * np.exp(2j * math.pi * 1.4 * ROW_S)
+        humps = [lfilter([2e-6], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal(ROWS)) for _ in range(15)]
+        of_seed = [with_more(f, "frequency", h) for f, h in zip(flows(rng, 15), humps, strict=True)]
+        assert find_swing(of_seed) is None
+
+
 def test_an_image_of_the_carrier_is_no_swing() -> None:
     """At 15 000.35 Hz a converter of 10 kHz has the carrier's double 0.7 Hz from it."""
     rng = np.random.default_rng(1)

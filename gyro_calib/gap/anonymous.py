@@ -87,7 +87,7 @@ _PHASES, _ANY_PHASE = (("in phase", 1.0 + 0j), ("in quadrature", 1j)), (("of any
 #: but for what goes with squares: no clock of a table that turns both ways imitates that of its rate, no noise that of the drives
 _READ = ("Omega^2 x", "|u|^2 x, u the drives")
 #: on what a term may depend that follows its signal at once
-_AT_ONCE = ("amplitude", "temperature", "time", "rate")
+_AT_ONCE = ("amplitude", "azimuth", "temperature", "time", "rate")
 
 
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
@@ -101,7 +101,7 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
         forms.append((Anonymous(LOCATIONS["output"], _ANY_PHASE[0][0], text, depends), _form("output", both, 1.0, at_once=False)))
     for kind, location in LOCATIONS.items():
         for (text, depends), monomials in MONOMIALS.items():
-            if text in _TURNING and not evidence.turns:
+            if (text in _TURNING or depends == "azimuth") and not evidence.turns:
                 continue
             if (text in _OF_DRIVE and kind == "drive") or (text in _OF_MOTION and kind != "drive") or (text in _OF_FLOW and kind != "flow"):
                 continue

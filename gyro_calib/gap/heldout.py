@@ -85,10 +85,13 @@ class Shrinkage:
 
 
 def halves(model: CampaignModel) -> tuple[list[int], list[int]]:
-    """Two halves of the recordings, every role and amplitude in both as far as it was recorded twice."""
+    """Two halves of the recordings, every role and amplitude, and open drive of every axis, in both as far as it was recorded twice."""
     alike: dict[tuple[str, float], list[int]] = defaultdict(list)
     for k, r in enumerate(model.evidence):
-        alike[r.role, round(r.recording.command.setpoints.amplitude_v, 6)].append(k)
+        driven = r.recording.command.excitation
+        # each axis at some of its distances: what only a large drive shows is told of both axes by either half
+        role = f"open drive of {driven.axis}" if driven.kind == "drive" else r.role
+        alike[role, round(r.recording.command.setpoints.amplitude_v, 6)].append(k)
     sides: tuple[list[int], list[int]] = ([], [])
     turn = 0
     for members in alike.values():

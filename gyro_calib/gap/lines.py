@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ _SIDE_BAND_HARMONICS = 3
 #: lines of a recording in which nothing was modulated: the mean and its slow changes
 _STEADY_LINES = 5
 _HIGHEST_HZ = 12.0
+#: further harmonics of the azimuth psi: of many electrodes, or of a table of sines; highest line over the row rate
+_FURTHER, _TOP = (6, 8), 0.05
 
 
 @dataclass(frozen=True)
@@ -40,5 +43,10 @@ def lines_of(recording: Recording, speed_rad_s: float) -> Lines:
         signal = [step * k for k in range(_STEADY_LINES)]
     else:
         signal = signal_lines(recording, speed_rad_s)
-    quiet = [f for f in quiet_lines(recording, max(signal), speed_rad_s) if min(abs(f - s) for s in signal) > 1.2 * step]
+    highest = max(signal)
+    turn = speed_rad_s / (2.0 * math.pi)
+    if recording.command.mode == "whole_angle" and turn > 1.5 * step:
+        top = min(_HIGHEST_HZ, _TOP * recording.sample_rate_hz)
+        signal += [k * turn for k in _FURTHER if highest + 1.2 * step < k * turn < top]
+    quiet = [f for f in quiet_lines(recording, highest, speed_rad_s) if min(abs(f - s) for s in signal) > 1.2 * step]
     return Lines(tuple(float(f) for f in np.unique(np.round(signal, 9))), tuple(quiet))

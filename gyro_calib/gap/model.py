@@ -21,6 +21,7 @@ from .evidence import CHANNELS, CampaignEvidence
 from .floors import course_beside_floors
 from .followed import followed_of
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, knows_its_resonance, linear_columns, linear_of, span_k, target_of
+from .monomials import LATE
 from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasured, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
@@ -39,7 +40,7 @@ ComplexArray = NDArray[np.complex128]
 #: a usual wander of a resonance between records, over its frequency
 _WANDER = 5e-8
 #: on what unnamed terms of the saturated model depend
-_STRANGE = ("amplitude", "drive")
+_STRANGE = ("amplitude", "azimuth", "drive")
 #: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
 _COURSE = 15.0
 #: delay and length of a table's steps from which on its log is mended [s], and how often
@@ -206,11 +207,15 @@ def _weighed(
     """Noise, measured with all effects and ``strangers`` allowed for, and the nuisances at the sizes that they have."""
     # a wave that is turned shows what depends on rate, whatever its name
     turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
-    strange = [c for a, c in bank if a.depends_on in _STRANGE and not c.setting and (a.form, a.phase) != HEATED]
+    strange = [c for a, c in bank if _is_strange(a) and not c.setting and (a.form, a.phase) != HEATED]
     # whether the registry has a name for a drift or not, a floor is what does not go along a straight line
     straight = [c for a, c in bank if a.depends_on == "time"]
     held = [*nuisances, *drifts]
-    allowed = [*saturated_columns(evidence, linear, held, candidates, [*turned, *strange, *straight]), *effect_columns(strangers)]
+    unnamed = [*turned, *strange, *straight]
+    # what lags behind the temperature shows in two or three records, which drifts of their own follow as well
+    shown = counting(Screener(Whitener.of(evidence, plain.noise), nuisances, target_of(evidence, angular_gain)), unnamed)
+    shown |= {c.name for a, c in bank if a.form.startswith(LATE)}
+    allowed = [*saturated_columns(evidence, linear, held, candidates, unnamed, shown), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)
     whitener = Whitener.of(evidence, noise, excess)
@@ -234,6 +239,10 @@ def _weighed(
     lean = saturated_columns(evidence, linear, sized, named, [c for c in [*turned, *strange] if c.name in there])
     noise = remeasured(evidence, [*lean, *going], noise, excess, angular_gain)
     return Whitener.of(evidence, noise, excess), noise, excess, sized
+
+
+def _is_strange(term: Anonymous) -> bool:
+    return term.depends_on in _STRANGE or term.form.startswith(LATE)
 
 
 def _course_of_warming(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .forms import AT_REST, behind, conjugate_product
 from .memory import remembered
+from .parts import turned
 from .signals import Signals
 
 __all__ = ["APART", "FED", "LATE", "MONOMIALS", "RISING", "Monomial", "size_of"]
@@ -78,6 +79,26 @@ def _in_step(x: ComplexArray) -> FloatArray:
 def _by_motion(p: ComplexArray, x: ComplexArray) -> ComplexArray:
     """Twice the fundamental of m^2 x, m the motion's volts of each axis: a force across a gap that closes."""
     return np.asarray(np.abs(p) ** 2 * x + 0.5 * p**2 * x.conj())
+
+
+def _lobes(s: Signals, x: ComplexArray, count: int) -> ComplexArray:
+    """cos k theta + i sin k theta of a turning wave, k its lobes over a turn of the case: 4 and its multiples, shape (n, 1).
+
+    What a drive does goes with the motion's azimuth, not with its own.
+    """
+    v = s.pick if x is s.drive else x
+    stokes = np.abs(v[:, 0]) ** 2 - np.abs(v[:, 1]) ** 2 + 2j * _in_step(v)
+    return np.asarray((stokes / (np.sum(np.abs(v) ** 2, axis=1) + 1e-18)) ** (count // 4))[:, None]
+
+
+def _by_azimuth(count: int) -> dict[tuple[str, str], list[Monomial]]:
+    """The signal by its cosine and sine of so many lobes, and the same turned by a quarter."""
+    parts: list[Callable[[ComplexArray], FloatArray]] = [np.real, np.imag]
+    text = f"x cos {count}theta, x sin {count}theta"
+    return {
+        (text, "azimuth"): [lambda s, x, f=f: f(_lobes(s, x, count)) * x for f in parts],  # type: ignore[misc]
+        (f"{text}, crossed", "azimuth"): [lambda s, x, f=f: f(_lobes(s, x, count)) * turned(x) for f in parts],  # type: ignore[misc]
+    }
 
 
 def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
@@ -157,6 +178,10 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|u_j|^2 x_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * x),
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
     ("|p_j|^2 x_j, p the motion", "amplitude"): _on_each(lambda s, x: _by_motion(s.pick, x)),
+    **_by_azimuth(4),
+    **_by_azimuth(8),
+    **_by_azimuth(12),
+    **_by_azimuth(16),
 }
 #: what feeds through and is not in proportion to the drive: a varactor, a stray capacitance that the motion moves
 FED: dict[tuple[str, str], list[Monomial]] = {

@@ -29,6 +29,7 @@ _RECIPES = {
 #: what shows the form of something without a name, by what it depends on
 _OF_UNKNOWN = {
     "amplitude": "Repeat the static recordings of both axes at five amplitudes, from a third of the usual one to the largest of the loops",
+    "azimuth": "Record virtual precession of both senses over three whole turns at two more amplitudes",
     "drive": "Repeat the recordings with the largest drive at three more voltages, the amplitude held",
     "drive's power": "Go from the smallest amplitude or precession to the largest and back, recording from that moment on for a minute",
     "temperature": "Step the temperature by 10 K, up and down, and record both axes while it moves and until nothing changes any more",

@@ -71,10 +71,13 @@ class PlainNoise:
         Noise below which that of a saturated model does not fall, by role and channel.
     gains : mapping
         Drive gains that it keeps near.
+    noise : mapping
+        All that it leaves, by role and channel.
     """
 
     floor: Mapping[Key, NoiseLaw]
     gains: Mapping[str, float]
+    noise: NoiseByRole
 
 
 def plain_noise(evidence: CampaignEvidence, plain: Sequence[Column], angular_gain: float) -> PlainNoise:
@@ -87,7 +90,8 @@ def plain_noise(evidence: CampaignEvidence, plain: Sequence[Column], angular_gai
     for role, channel in noise:
         if (law := steady.get((parents.get(role, role), channel))) is not None:
             floor[role, channel] = law.floor(_STEADY_FLOOR)
-    return PlainNoise(floor, {name: value for name, value in solution.by_name().items() if name.startswith("G_")})
+    gains = {name: value for name, value in solution.by_name().items() if name.startswith("G_")}
+    return PlainNoise(floor, gains, noise)
 
 
 def measured_noise(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -86,6 +86,7 @@ def saturated_columns(
     nuisances: Sequence[Column],
     candidates: Mapping[str, Sequence[Candidate]],
     unnamed: Sequence[Candidate],
+    shown: Collection[str] = (),
 ) -> list[Column]:
     """Every effect at once, each of a size that it may have, and unnamed terms: what has no name is no noise either.
 
@@ -102,6 +103,8 @@ def saturated_columns(
     candidates : mapping
         Effects by name.
     unnamed : sequence of Candidate
+    shown : collection of str
+        Names of those that are held where there are no equations for all of them.
     """
     told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
     chosen = [_not_gross(evidence, linear, c) for tried in told.values() for c in _some(tried)]
@@ -109,7 +112,8 @@ def saturated_columns(
         nuisances = [c for c in nuisances if not c.name.startswith(("drive_lag", BOTH_DRIVES_LATE))]
         chosen = [c for c in chosen if c.name not in _FAST]
     # few recordings have no equations for all of that: it would explain their noise
-    for kept in ([*chosen, *(_small(evidence, linear, c) for c in unnamed)], chosen, _fewest(chosen)):
+    small = [_small(evidence, linear, c) for c in unnamed]
+    for kept in ([*chosen, *small], [*chosen, *(c for c in small if c.name in shown)], chosen, _fewest(chosen)):
         held = [c for c in effect_columns(kept) if any(np.any(v) for v in c.signal)]
         if len(nuisances) + len(held) <= _SATURATION * sum(2 * r.signal.lhs.size for r in evidence):
             return [*nuisances, *held]

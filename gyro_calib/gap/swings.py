@@ -31,6 +31,8 @@ _LEAST_BINS, _HARMONICS, _SKIRT_BINS, _HIGHEST_HZ = 4.0, 16.0, 3.0, 12.0
 _MARGIN, _PRICE, _SHOWN, _FEWEST = 20.0, 2.0, 8.0, 2
 #: a swing stands over the bins below it too: lowest bin of a floor, bins about a frequency that are its own, fewest below those in a record
 _LOWEST_BIN, _OWN_BINS, _BELOW = 2.0, 2.0, 2
+#: bins to either side whose median a swing must stand over as well, and how few of them tell one
+_ABOUT_BINS, _FEWEST_ABOUT = 12.0, 10
 #: frequencies of most evidence that are asked so
 _ASKED = 6
 #: a recording shorter than this says nothing [s]; fewest bins of a kind from which its floor is measured
@@ -108,12 +110,27 @@ class _Kind:
     def over_floor(self, grid: FloatArray, apart_hz: float | None) -> list[FloatArray]:
         """Power over the floor by record, at every frequency of a grid; NaN where it holds signal."""
         law = self._floor(apart_hz)
+        if apart_hz is not None:
+            law = law * max(1.0, self._about(apart_hz, law))
         found = []
         for s in self.spectra:
             places = np.minimum(np.round(grid / s.bin_hz).astype(int), s.power.size - 1)
             there = s.heard[places] & (np.round(grid / s.bin_hz) < s.power.size)
             found.append(np.where(there, s.power[places] / (_basis(np.maximum(s.frequency_hz[places], 1e-9)) @ law), np.nan))
         return found
+
+    def _about(self, apart_hz: float, law: FloatArray) -> float:
+        """Median power over a floor of the bins to both sides of a frequency: a loop's own hump is no line.
+
+        Reference and resonance of a healthy hemisphere had three times as much from 1 to 3 Hz as white, flicker and walk say.
+        """
+        ratios = []
+        for s in self.spectra:
+            apart = np.abs(s.frequency_hz - apart_hz) / s.bin_hz
+            near = s.low & (apart > _OWN_BINS) & (apart <= _ABOUT_BINS)
+            ratios.append(s.power[near] / (_basis(s.frequency_hz[near]) @ law))
+        together = np.concatenate(ratios)
+        return float(np.median(together)) / math.log(2.0) if together.size >= _FEWEST_ABOUT else 1.0
 
     def _floor(self, apart_hz: float | None) -> FloatArray:
         """Coefficients of the floor over its basis: as bins tell that are no swing's; ``apart_hz``: its slow part as all others do.

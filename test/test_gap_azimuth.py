@@ -1,0 +1,92 @@
+"""What goes with the azimuth of a turning wave by more lobes than a linear device has: a form of its own, on lines of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from table_samples import looked_at as look_at_campaign
+
+from gyro_calib.gap.diagnose import diagnose
+from gyro_calib.gap.lines import lines_of
+from gyro_calib.gap.monomials import MONOMIALS
+from gyro_calib.gap.signals import Signals
+from gyro_calib.recording.recording import Campaign, Recording
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.units import draw_trial_unit
+
+#: share of a pick-off's gain that goes with the azimuth
+SHARE = 3e-5
+
+
+def hemisphere() -> Campaign:
+    """A whole-angle campaign of a healthy unit."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    return record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng)
+
+
+def read_by_lobes(r: Recording, lobes: int) -> Recording:
+    """The same wave, read by a gain that goes with the electrodes under its antinode."""
+    v = r.pick
+    stokes = np.abs(v[:, 0]) ** 2 - np.abs(v[:, 1]) ** 2 + 2j * (v[:, 0] * v[:, 1].conj()).real
+    more = SHARE * np.cos(0.25 * lobes * np.angle(stokes) + 0.7)[:, None] * v
+    data = r.data.copy()
+    data[:, 2:6:2] += more.real
+    data[:, 3:7:2] += more.imag
+    return replace(r, data=data)
+
+
+@dataclass
+class Rows:
+    """Signals as far as a monomial of the azimuth asks for them."""
+
+    pick: NDArray[np.complex128]
+    drive: NDArray[np.complex128]
+
+
+def wave(psi: NDArray[np.float64], size: float = 0.7) -> NDArray[np.complex128]:
+    return size * np.exp(0.4j) * np.stack([np.cos(psi), np.sin(psi)], axis=1).astype(complex)
+
+
+@pytest.mark.parametrize("lobes", [4, 8, 12, 16])
+def test_lobes_are_those_of_the_motion_whatever_is_driven(lobes: int) -> None:
+    psi = np.linspace(0.0, 6.0, 50)
+    rows = Rows(wave(psi), wave(psi + 1.1, 0.01))
+    of_cos, of_sin = MONOMIALS[f"x cos {lobes}theta, x sin {lobes}theta", "azimuth"]
+    for x in (rows.pick, rows.drive, 2.0 * rows.pick):
+        # two lobes of theta are one of psi: the wave of n = 2 comes back after a quarter turn of the case
+        assert of_cos(cast(Signals, rows), x) == pytest.approx(np.cos(0.5 * lobes * psi)[:, None] * x)
+        assert of_sin(cast(Signals, rows), x) == pytest.approx(np.sin(0.5 * lobes * psi)[:, None] * x)
+    crossed = MONOMIALS[f"x cos {lobes}theta, x sin {lobes}theta, crossed", "azimuth"][0](cast(Signals, rows), rows.pick)
+    assert np.abs(np.sum(crossed * rows.pick.conj(), axis=1)) == pytest.approx(np.zeros(50), abs=1e-12)
+
+
+def test_a_turning_wave_has_lines_of_six_and_eight_turns_and_they_are_not_quiet() -> None:
+    turning = next(r for r in hemisphere() if r.command.setpoints.virtual_precession_v > 0.0)
+    turn_hz = 3.0 / turning.duration_s
+    lines, step = lines_of(turning, 2.0 * np.pi * turn_hz), 1.0 / turning.duration_s
+    for k in (6, 8):
+        assert min(abs(f - k * turn_hz) for f in lines.signal) < 1e-6
+        assert min(abs(f - k * turn_hz) for f in lines.quiet) > step
+
+
+@pytest.mark.parametrize("lobes", [8, 16])
+def test_a_gain_of_many_lobes_is_found_by_its_form(lobes: int) -> None:
+    """It was believed to be noise: as loud in its lines as everything else that the saturated model lacks."""
+    campaign = hemisphere()
+    found = diagnose(replace(campaign, recordings=tuple(read_by_lobes(r, lobes) for r in campaign)))
+    assert found.verdict == "unknown"
+    assert found.unknown is not None
+    assert (found.unknown.location, found.unknown.depends_on) == ("pick-off", "azimuth")
+    assert found.unknown.form == f"x cos {lobes}theta, x sin {lobes}theta"
+
+
+def test_of_a_wave_that_never_turns_nothing_goes_with_the_azimuth() -> None:
+    unit, rng = draw_trial_unit("ring", 79, 1), np.random.default_rng(1)
+    model = look_at_campaign(record_unit(unit, campaign_plan("ring", unit.device.factory(), rng, "quick"), {}, rng))
+    assert model.bank
+    assert not any(term.depends_on == "azimuth" for term, _ in model.bank)
