@@ -283,3 +283,21 @@ def test_spoilt_attributes_of_another_plant(bench, kind):
 @needs_bench
 def test_another_plants_recordings_pass(bench):
     assert check_campaign(bench) == []
+
+
+def test_a_loop_too_slow_for_its_side_band_is_no_wrong_attribute(campaign):
+    """The set point is modulated, and the columns hold what the loop makes of it: the same in all recordings of one frequency."""
+    stated = {"side_x_a1_1.5hz": 0.24, "side_y_a1_1.5hz": 0.24, "side_x_a1.4_1.5hz": 0.24}
+    slow = tuple(excited(r.label, index=stated[r.label])(r) if r.label in stated else r for r in campaign)
+    assert check_campaign(replace(campaign, recordings=slow)) == []
+    alone = tuple(excited(r.label, index=0.24)(r) if r.label == "side_x_a1_1.5hz" else r for r in campaign)
+    with pytest.raises(DataError, match="modulated by 24 %"):
+        check_campaign(replace(campaign, recordings=alone))
+
+
+def test_recordings_that_are_not_used_are_named(campaign):
+    short = tuple(replace(r, data=r.data[:150]) if r.label in ("static_x_0", "locate") else r for r in campaign)
+    assert any(
+        w.startswith("Not used, for they hold fewer than 200 rows: ") and "static_x_0 (150)" in w and "locate (150)" in w
+        for w in check_campaign(replace(campaign, recordings=short))
+    )

@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 from table_samples import looked_at, loudest, on_a_table
 
+from gyro_calib.gap import rate_table
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.rate_table import said_late, shifted
+from gyro_calib.gap.select import select_effects
 from gyro_calib.recording.applied_rate import applied_rate, is_turned
 from gyro_calib.recording.recording import Recording
+from gyro_calib.trial.plans import campaign_plan
+from gyro_calib.trial.plant import record_unit
+from gyro_calib.trial.units import draw_trial_unit
 
 #: how late the table is, by recording [s]
 LATE_S = {"table_x": 0.061, "table_y": 0.024}
@@ -74,3 +79,22 @@ def test_a_log_of_many_small_steps_stays_in_order(late_s: float) -> None:
     row_s = 1.0 / recording.sample_rate_hz
     logged = np.deg2rad(50.0 * np.sin(np.arange(len(rate)) * row_s - late_s))
     np.testing.assert_allclose(rate[50:-50], logged[50:-50], atol=1.5e-2)
+
+
+def test_a_servo_that_takes_its_steps_early_or_late_is_no_gain_of_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By 0.1 ms, each step by itself; a hemisphere was said to have a gain of 1.7 % and a curvature that undoes it at the table's rate."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    campaign = record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng)
+    jitter = np.random.default_rng(0)
+    recordings = []
+    for r in campaign:
+        if is_turned(r):
+            words = r.extras["applied_rate"]
+            times = [words["t_s"][0], *(t + 1e-4 * jitter.standard_normal() for t in words["t_s"][1:])]
+            r = replace(r, extras={**r.extras, "applied_rate": {**words, "t_s": times}})
+        recordings.append(r)
+    spoilt = replace(campaign, recordings=tuple(recordings))
+    model = looked_at(spoilt)
+    assert select_effects(model).effects == ()
+    monkeypatch.setattr(rate_table, "_SERVO_S", 0.0)
+    assert looked_at(spoilt).screener.chi2 > model.screener.chi2 + 25.0

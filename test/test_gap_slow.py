@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from unittest import mock
 
 import numpy as np
@@ -13,13 +14,15 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.floors import beat_their_floors, louder_floors
-from gyro_calib.gap.model import look_at
+from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.gap.screen import Screener
+from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.sizes import gained_by_resizing, measured_shares, with_shares
 from gyro_calib.gap.slow import drift_family
 from gyro_calib.gap.system import Solution
+from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
 from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
@@ -133,27 +136,6 @@ def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of
         assert fit.values[k] == pytest.approx(value, abs=4.0 * math.sqrt(fit.covariance[k, k]) + 0.02 * abs(value))
 
 
-def test_what_goes_with_time_must_beat_larger_floors() -> None:
-    """A clean ring's floors are as large as they are; told to be a third of it, what they do would be an effect's."""
-    device = draw_unit(load_device("ring_15k"), 5)
-    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(8), fidelity="carrier"), 2e-5)
-    campaign = run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))
-    f = campaign.factory
-    model = look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
-    # but for the resonance's wander, of which the shifts of the records take what its cosines do not
-    hushed = replace(
-        model,
-        nuisances=tuple(replace(c, prior_sd=c.prior_sd / 3.0) if drift_family(c) not in ("", "frequency") else c for c in model.nuisances),
-    )
-    drift = next(s for s in model.screener.screened(model.candidates["split_drift"]))
-    other = next(s for s in model.screener.screened(model.candidates["duffing"]))
-    least, most = louder_floors(model, []), louder_floors(hushed, [])
-    assert least < most
-    for evidence, beats in ((most - 1.0, False), (most + 1.0, True)):
-        assert beat_their_floors(hushed, [replace(drift, log_evidence=evidence)]) is beats
-    assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
-
-
 def test_a_wander_that_takes_minutes_is_no_course_of_the_frequency() -> None:
     """Shifts of records alone, each by itself, leave what a trial's ring does with its millikelvins to whatever goes with time."""
     unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(1)
@@ -166,6 +148,57 @@ def test_a_wander_that_takes_minutes_is_no_course_of_the_frequency() -> None:
     assert without.chi2 > model.screener.chi2 + 10.0
     for name in ("frequency_ageing", "thermal_lag", "charge_accumulation"):
         assert max(s.log_evidence for s in model.screener.screened(model.candidates[name])) < 5.0
+
+
+def with_quadrature_floor(campaign: Campaign, model: CampaignModel, size: float) -> Campaign:
+    """The recordings of a device whose split has a 1/f floor, of so much of the decay: its drives hold less against it."""
+    rng, k = np.random.default_rng(0), np.arange(1, 9)
+    sizes = size * model.evidence.decay_rate * rng.standard_normal((2, k.size)) / np.sqrt(k)
+    start = min(r.t[0] for r in campaign)
+    span_s, inverse = max(r.t[-1] for r in campaign) - start, np.linalg.inv(model.linear.G).T
+    out = []
+    for r in campaign:
+        along, across = sizes @ np.cos(k[:, None] * np.pi * (r.t - start) / span_s)
+        x = r.pick - r.drive @ model.linear.E.T
+        volts = 1j * (along[:, None] * x * [1, -1] + across[:, None] * x[:, ::-1]) @ inverse
+        data = r.data.copy()
+        data[:, 6:10:2] -= volts.real
+        data[:, 7:11:2] -= volts.imag
+        out.append(r if r.command.mode == "loops_off" else replace(r, data=data))
+    return replace(campaign, recordings=tuple(out))
+
+
+@cache
+def floored() -> CampaignModel:
+    """Of a healthy hemisphere."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    campaign = record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng)
+    return _look(with_quadrature_floor(campaign, _look(campaign), 1e-5))
+
+
+def test_a_floor_of_the_quadrature_is_no_charge_that_leaks() -> None:
+    """Without a family of its own it was a charge of log evidence 37, and twice as large something that goes to and fro every 177 s."""
+    model = floored()
+    selection = select_effects(model)
+    assert selection.effects == ()
+    assert selection.stranger is None
+    slow = [c for c in model.nuisances if drift_family(c) == "split"]
+    assert max(abs(model.base.by_name()[c.name]) / c.prior_sd for c in slow) > 1.0
+
+
+def test_what_goes_with_time_must_beat_larger_floors() -> None:
+    """A healthy unit's floors are as large as they are; told to be a third of it, what they do would be an effect's."""
+    model = floored()
+    hushed = replace(
+        model, nuisances=tuple(replace(c, prior_sd=c.prior_sd / 3.0) if drift_family(c) == "split" else c for c in model.nuisances)
+    )
+    drift = next(s for s in model.screener.screened(model.candidates["split_drift"]))
+    other = next(s for s in model.screener.screened(model.candidates["duffing"]))
+    least, most = louder_floors(model, []), louder_floors(hushed, [])
+    assert least + 1.0 < most
+    for evidence, beats in ((most - 1.0, False), (most + 1.0, True)):
+        assert beat_their_floors(hushed, [replace(drift, log_evidence=evidence)]) is beats
+    assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
 
 
 def test_what_one_recording_alone_tells_is_no_drift() -> None:

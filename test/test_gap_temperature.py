@@ -13,7 +13,8 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, run_plan
 from gyro_calib.experiments.gap_plans import gap_ftr_plan
 from gyro_calib.gap.model import look_at
-from gyro_calib.gap.signals import smooth_reading, smooth_temperature
+from gyro_calib.gap.signals import held_readings, smooth_reading, smooth_temperature
+from gyro_calib.gap.thermometer import said_sensor_late, sensor_late_s
 from gyro_calib.recording.columns import COLUMNS, column_index
 from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.recording import Recording
@@ -74,6 +75,27 @@ def test_a_temperature_ends_as_it_goes(follows: bool) -> None:
     recording, true = ramp(follows=follows)
     wrong = np.abs(smooth_temperature(recording) - true)
     assert max(wrong[:40].max(), wrong[-40:].max()) < 2e-3
+
+
+@pytest.mark.parametrize(("follows", "most_k"), [(True, 0.02), (False, 0.13)])
+def test_a_sensor_that_is_read_once_a_second_makes_no_steps(follows: bool, most_k: float) -> None:
+    """Each reading held until the next: of a ramp of 0.5 K/s it is late by up to half a kelvin, which no resonator is."""
+    recording, true = ramp(follows=follows, noise_k=0.0)
+    assert not len(held_readings(recording))
+    read = np.concatenate([[0], np.arange(40, len(true), 100)])
+    data = recording.data.copy()
+    data[:, column_index("temperature")] = true[read[np.searchsorted(read, np.arange(len(true)), side="right") - 1]]
+    held = replace(recording, data=data)
+    assert set(read[1:10]) <= set(held_readings(held))
+    assert np.abs(held.temperature_degc - true).max() > 0.45
+    assert np.abs(smooth_temperature(held) - true)[60:-60].max() < most_k
+
+
+def test_a_sensor_that_is_late_is_said_and_a_resonator_that_is_later_is_not() -> None:
+    (told,) = said_sensor_late(sensor_late_s({"thermal_lag.tau": -0.63}))
+    assert told.startswith("The thermometer is 0.63 s later")
+    for healthy in (-0.3, 0.1, 5.0):
+        assert said_sensor_late(sensor_late_s({"thermal_lag.tau": healthy})) == []
 
 
 def test_without_a_temperature_run_its_effects_are_not_tried() -> None:

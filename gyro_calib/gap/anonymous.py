@@ -108,9 +108,9 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
             if kind == "output" and depends in _NOT_READ and text not in _READ:
                 continue
             for phase, factor in _PHASES if depends != "reference" else _ANY_PHASE:
-                if (kind, phase) == ("flow", "in quadrature") and text in (LATE, RISING):
+                if phase == "in quadrature" and (text == RISING or (kind, text) == ("flow", LATE)):
                     continue
-                if (kind, phase) == ("flow", "in quadrature") and text in APART:
+                if phase == "in quadrature" and (kind == "flow" or text.startswith(RISING)) and text in APART:
                     monomials = [lambda s, x, f=APART[text]: f(s) * x * np.array([1.0, -1.0])]  # type: ignore[misc]
                 forms.append((Anonymous(location, phase, text, depends), _form(kind, monomials, factor, at_once=depends in _AT_ONCE)))
     made = forms_columns(evidence, [(form, {}) for _, form in forms], linear)

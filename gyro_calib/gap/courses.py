@@ -153,9 +153,9 @@ def _sides(columns: Sequence[Column]) -> tuple[list[ComplexArray], list[ComplexA
     return [np.stack([c.signal[r] for c in columns]) for r in recordings], [np.stack([c.quiet[r] for c in columns]) for r in recordings]
 
 
-def courses_of(evidence: CampaignEvidence, linear: Linear) -> Courses:
-    """Project what the courses of a campaign are made of."""
-    moves = span_k(evidence) >= TEMPERATURE_SPAN_K
+def courses_of(evidence: CampaignEvidence, linear: Linear, *, read_late: bool = False) -> Courses:
+    """Project what the courses of a campaign are made of; none of a temperature that was ``read_late``: it begins and ends elsewhere."""
+    moves = span_k(evidence) >= TEMPERATURE_SPAN_K and not read_late
     most = _WARMING_MOMENTS if moves else _MOMENTS
     moments = [most if r.is_warming else _MOMENTS for r in evidence]
     base = part_columns(evidence, [_parts(r.signals, linear, own, most) for r, own in zip(evidence, moments, strict=True)], linear)

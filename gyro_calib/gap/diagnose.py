@@ -35,6 +35,7 @@ from .standing import standings
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
 from .swings import find_swing
 from .system import Solution
+from .thermometer import said_sensor_late
 from .told import told_sizes
 
 __all__ = ["diagnose"]
@@ -75,7 +76,7 @@ def diagnose(
     check_alike(recordings, kappa)
     left_out = tuple(without)
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
-    warnings = [*warnings, *said_late(model.evidence, model.late_s)]
+    warnings = [*warnings, *said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
     report(0.7, "selecting effects")
     beside = spectral_effects(recordings, model.linear, left_out)
     selection = _without_products(model, select_effects(model), beside)
@@ -310,7 +311,10 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
 
 
 def _said(q: Quantity) -> str:
-    """To as many digits as it is known to."""
-    known = q.sd > 0.0 and q.value != 0.0 and math.isfinite(q.sd)
-    digits = int(np.clip(math.log10(abs(q.value) / q.sd) + 2.0, 3, 10)) if known else 3
-    return f"{q.value:.{digits}g} ± {q.sd:.2g} {q.unit}"
+    """To the second digit of its standard deviation."""
+    if not (q.sd > 0.0 and math.isfinite(q.sd)):
+        return f"{q.value:.3g} ± {q.sd:.2g} {q.unit}"
+    last = math.floor(math.log10(q.sd)) - 1
+    value = round(q.value, -last)
+    digits = max(math.floor(math.log10(abs(value))) - last + 1, 1) if value else 1
+    return f"{value:.{digits}g} ± {q.sd:.2g} {q.unit}"

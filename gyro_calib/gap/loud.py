@@ -15,6 +15,7 @@ from ..recording.applied_rate import is_turned
 from .diagnosis import Unknown
 from .evidence import CHANNELS, RecordingEvidence
 from .model import CampaignModel
+from .signals import held_readings
 
 __all__ = ["Loud", "loudest"]
 
@@ -77,9 +78,14 @@ def loudest(model: CampaignModel) -> Loud | None:
         Loud(r.recording.label, channel, ratio, r.signal.lhs.size, warmed=True)
         for r in model.evidence
         for channel in CHANNELS
-        if channel != "frequency" and r.is_warming and r.is_wave and (ratio := _over_rest(model, r, channel)) > _WARMED
+        if channel != "frequency" and _is_told_warming(r) and (ratio := _over_rest(model, r, channel)) > _WARMED
     ]
     return max(found, key=lambda loud: loud.ratio, default=None)
+
+
+def _is_told_warming(r: RecordingEvidence) -> bool:
+    """Whether a wave's temperature moved and was read often enough: between two readings of a second it is known to some 50 mK."""
+    return r.is_warming and r.is_wave and not len(held_readings(r.recording))
 
 
 def _over_rest(model: CampaignModel, r: RecordingEvidence, channel: str) -> float:

@@ -21,7 +21,7 @@ from .evidence import CHANNELS, CampaignEvidence
 from .floors import course_beside_floors
 from .followed import followed_of
 from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, knows_its_resonance, linear_columns, linear_of, span_k, target_of
-from .monomials import LATE
+from .monomials import LATE, RISING
 from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasured, with_repeats
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
@@ -32,7 +32,7 @@ from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
-from .thermometer import THERMOMETER, own_columns, thermometer_columns
+from .thermometer import THERMOMETER, own_columns, sensor_late_s, thermometer_columns
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -75,6 +75,8 @@ class CampaignModel:
         By how much the noise of a recording's channel is larger than that of its kind, by index and channel.
     late_s : mapping
         How much later than its log a table turned, by index of the recording; that is mended in ``evidence``.
+    sensor_s : float
+        How late the thermometer is [s], if it is later than a good one.
     """
 
     evidence: CampaignEvidence
@@ -89,6 +91,7 @@ class CampaignModel:
     base: Solution
     excess: Mapping[tuple[int, str], float] = field(default_factory=dict)
     late_s: Mapping[int, float] = field(default_factory=dict)
+    sensor_s: float = 0.0
 
     def candidate(self, name: str, setting: Setting) -> Candidate:
         """An effect at another setting than those of its grid."""
@@ -168,7 +171,9 @@ def look_at(
     missing = _missing(evidence)
     candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}
     bank = [(term, c) for term, c in anonymous_candidates(evidence, linear) if _NEEDED.get(term.depends_on) not in missing]
-    courses = courses_of(evidence, linear)
+    sensor_s = sensor_late_s(values)
+    bank = [(term, c) for term, c in bank if not (sensor_s and term.form.startswith(RISING))]
+    courses = courses_of(evidence, linear, read_late=sensor_s > 0.0)
     report(0.75, "noise")
     plain = plain_noise(evidence, nuisances, angular_gain)
     drifts = slow_drifts(evidence, linear)
@@ -189,7 +194,9 @@ def look_at(
         screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
     report(1.0, "noise")
-    return CampaignModel(evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess, late_s)
+    return CampaignModel(
+        evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess, late_s, sensor_s
+    )
 
 
 def _weighed(

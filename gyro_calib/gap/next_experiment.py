@@ -10,6 +10,7 @@ import numpy as np
 from ..effects import EFFECTS
 from ..recording.applied_rate import is_turned
 from .diagnosis import Alternative, NextExperiment, Standing, Unknown
+from .evidence import RecordingEvidence
 from .model import CampaignModel
 from .select import Selection
 
@@ -26,6 +27,8 @@ _RECIPES = {
     "time": "Repeat the first static recordings at the end, and once more after an hour",
     "azimuth": "Record virtual precession of both senses over whole turns",
 }
+#: the same of a gyro whose wave is never turned
+_REBALANCED = {"large drive": "Record side bands at 1.5 Hz with twice the index, and open drive of each axis at twice the voltage"}
 #: what shows the form of something without a name, by what it depends on
 _OF_UNKNOWN = {
     "amplitude": "Repeat the static recordings of both axes at five amplitudes, from a third of the usual one to the largest of the loops",
@@ -45,6 +48,8 @@ _OF_UNKNOWN = {
 #: non-centrality at which two effects are told apart (gap.md: SNR times sine of the angle of 5); repeats beyond this are no plan
 _APART, _MOST_REPEATS = 25.0, 100.0
 _TEMPERATURE_K, _AMPLITUDES, _TURN_RAD = 2.0, 1.3, 2.0 * np.pi
+#: largest drive over the usual one of a held wave from which on it was large
+_LARGE = 3.0
 
 
 def _varied(model: CampaignModel) -> set[str]:
@@ -59,9 +64,24 @@ def _varied(model: CampaignModel) -> set[str]:
         "amplitudes": max(amplitudes) > _AMPLITUDES * min(amplitudes),
         "open drive": any(r.command.excitation.kind == "drive" for r in records),
         "side bands": any(r.command.excitation.kind.endswith("modulation") for r in records),
-        "azimuth": any(r.signal.turn_rad > _TURN_RAD for r in model.evidence),
+        # a gyro that is rebalanced has no wave to be turned
+        "azimuth": any(r.signal.turn_rad > _TURN_RAD for r in model.evidence) or not _turns(model),
+        "large drive": max(_volts(r) for r in model.evidence) > _LARGE * float(np.median([_volts(r) for r in waves])),
     }
     return {name for name, yes in found.items() if yes}
+
+
+def _turns(model: CampaignModel) -> bool:
+    return any(r.recording.command.mode == "whole_angle" for r in model.evidence)
+
+
+def _volts(r: RecordingEvidence) -> float:
+    """Of both drives, root mean square."""
+    return float(np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))))
+
+
+def _recipe(model: CampaignModel, need: str) -> str:
+    return _REBALANCED[need] if need in _REBALANCED and not _turns(model) else _RECIPES[need]
 
 
 def _repeats(model: CampaignModel, selection: Selection) -> list[Alternative]:
@@ -129,8 +149,8 @@ def next_experiment(model: CampaignModel, selection: Selection, lines: Sequence[
                 votes.setdefault(need, []).append(name)
     if votes:
         ranked = sorted(votes.items(), key=lambda item: -len(item[1]))
-        others = tuple(Alternative(_RECIPES[need] + ".", tuple(names), None) for need, names in ranked[1:4])
-        return NextExperiment(_RECIPES[ranked[0][0]] + ".", purpose, tuple(ranked[0][1]), (*repeats[:1], *others))
+        others = tuple(Alternative(_recipe(model, need) + ".", tuple(names), None) for need, names in ranked[1:4])
+        return NextExperiment(_recipe(model, ranked[0][0]) + ".", purpose, tuple(ranked[0][1]), (*repeats[:1], *others))
     if repeats:
         return NextExperiment(repeats[0].description, purpose, repeats[0].splits, tuple(repeats[1:3]))
     if served:

@@ -12,12 +12,14 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Campaign, Recording
 from .one_axis import holding_gain
 from .parts import Linear
+from .signals import WARMING_K, held_readings
 
 __all__ = ["check_campaign", "check_linear", "usable"]
 
-#: a modulation's index over the stated one; the least of it at the largest amplitude, where a drive that clips does not reach it; an open
-#: drive's volts over the stated ones (a multiplexed drive acts for a share of the time)
-_INDEX_RANGE, _CLIPPED_INDEX, _VOLTS_RANGE = (0.6, 1.6), 0.05, (0.2, 3.0)
+#: a modulation's index over the stated one; the least of it at the largest amplitude, where a drive that clips does not reach it, or where
+#: a slow loop leaves as much of it in all recordings of one frequency, to such a share; an open drive's volts over the stated ones (a
+#: multiplexed drive acts for a share of the time)
+_INDEX_RANGE, _LEAST_INDEX, _ALIKE_INDEX, _VOLTS_RANGE = (0.6, 1.6), 0.05, 0.35, (0.2, 3.0)
 #: a reference further from the frequency of an open drive than this [Hz] is not the drive's
 _REFERENCE_HZ = 0.5
 #: a recording shorter than this share of its like is cut short
@@ -30,6 +32,8 @@ _RATE_UNITS = (
 )
 _RATE_TOLERANCE = 0.15
 _FEWEST_RECORDINGS = 2
+#: fewest rows of a recording; excitations that the equations do not describe
+_FEWEST_ROWS, _NOT_DESCRIBED = 200, ("frequency_modulation", "secondary_modulation")
 #: a drive acts on an axis by this share at least of what holds a wave there
 _ACTS = 0.2
 #: share of a wave's power on an axis from which on it is held there
@@ -38,7 +42,19 @@ _HELD_SHARE = 0.25
 
 def usable(campaign: Campaign) -> list[Recording]:
     """Recordings with something to say: long enough, of a mode that the equations describe."""
-    return [r for r in campaign if len(r) >= 200 and r.command.excitation.kind not in ("frequency_modulation", "secondary_modulation")]
+    return [r for r in campaign if len(r) >= _FEWEST_ROWS and r.command.excitation.kind not in _NOT_DESCRIBED]
+
+
+def _not_used(campaign: Campaign) -> list[str]:
+    """A line on recordings that are too short to be used, and one on those of another method."""
+    short = [f"{r.label} ({len(r)})" for r in campaign if len(r) < _FEWEST_ROWS]
+    other = [r.label for r in campaign if len(r) >= _FEWEST_ROWS and r.command.excitation.kind in _NOT_DESCRIBED]
+    lines = []
+    if short:
+        lines.append(f"Not used, for they hold fewer than {_FEWEST_ROWS} rows: {', '.join(short)}. Record them for longer, or faster.")
+    if other:
+        lines.append(f"Not used, for the diagnosis knows side bands of the amplitude only: {', '.join(other)}.")
+    return lines
 
 
 def check_campaign(campaign: Campaign) -> list[str]:
@@ -55,28 +71,39 @@ def check_campaign(campaign: Campaign) -> list[str]:
             f"A diagnosis needs at least {_FEWEST_RECORDINGS} recordings with the loops closed, but got {len(waves)}. "
             "Record the campaign gap-ftr or gap-whole-angle, or part of it."
         )
-    largest = max(r.command.setpoints.amplitude_v for r in waves)
+    _check_modulation([(r, index) for r in campaign if (index := _index(r)) is not None], waves)
     for r in campaign:
-        _check_modulation(r, largest)
         _check_open_drive(r)
-    return _cut_short(campaign)
+    return [*_not_used(campaign), *_cut_short(campaign), *_rarely_read(campaign)]
 
 
-def _check_modulation(r: Recording, largest_v: float) -> None:
+def _index(r: Recording) -> float | None:
+    """Index of a modulation at its frequency as the pick-off shows it."""
     excitation, axis = r.command.excitation, r.command.oscillator_axis
     if excitation.kind != "amplitude_modulation" or axis is None or excitation.frequency_hz * r.duration_s < 0.9:
-        return
+        return None
     phase = 2.0 * np.pi * excitation.frequency_hz * r.t
     design = np.column_stack([np.ones(len(r)), np.cos(phase), np.sin(phase)])
     mean, c, s = np.linalg.lstsq(design, np.abs(r.pick[:, "xy".index(axis)]), rcond=None)[0]
-    index = float(np.hypot(c, s) / mean)
-    least = _CLIPPED_INDEX if r.command.setpoints.amplitude_v > 0.99 * largest_v else _INDEX_RANGE[0]
-    if not least <= index / abs(excitation.index or 1.0) <= _INDEX_RANGE[1]:
-        raise DataError(
-            f"Recording {r.label!r} says that its oscillator is modulated by {100 * excitation.index:.3g} % at "
-            f"{excitation.frequency_hz:g} Hz, but the {axis} pick-off shows {100 * index:.3g} % there. "
-            "Correct the attribute excitation, or the axis."
-        )
+    return float(np.hypot(c, s) / mean)
+
+
+def _check_modulation(found: Sequence[tuple[Recording, float]], waves: Sequence[Recording]) -> None:
+    largest_v = max(r.command.setpoints.amplitude_v for r in waves)
+    ratios = [index / abs(r.command.excitation.index or 1.0) for r, index in found]
+    for (r, index), ratio in zip(found, ratios, strict=True):
+        nu_hz = r.command.excitation.frequency_hz
+        others = [
+            x for (o, _), x in zip(found, ratios, strict=True) if o is not r and abs(o.command.excitation.frequency_hz / nu_hz - 1.0) < 0.1
+        ]
+        slow = bool(others) and abs(ratio / float(np.median(others)) - 1.0) < _ALIKE_INDEX
+        least = _LEAST_INDEX if slow or r.command.setpoints.amplitude_v > 0.99 * largest_v else _INDEX_RANGE[0]
+        if not least <= ratio <= _INDEX_RANGE[1]:
+            raise DataError(
+                f"Recording {r.label!r} says that its oscillator is modulated by {100 * r.command.excitation.index:.3g} % at "
+                f"{nu_hz:g} Hz, but the {r.command.oscillator_axis} pick-off shows {100 * index:.3g} % there. "
+                "Correct the attribute excitation, or the axis."
+            )
 
 
 def _check_open_drive(r: Recording) -> None:
@@ -102,6 +129,18 @@ def _check_open_drive(r: Recording) -> None:
                 f"Recording {r.label!r} says that {excitation.axis} is driven with {excitation.volts:.4g} V, but its column shows "
                 f"{volts[wanted]:.4g} V. Correct the attribute or the unit of the drive columns."
             )
+
+
+def _rarely_read(campaign: Campaign) -> list[str]:
+    """A line on a temperature that is read once in a while where it moves."""
+    moving = ((r, held_readings(r)) for r in campaign if np.ptp(r.temperature_degc) > WARMING_K)
+    apart_s = {r.label: float(np.median(np.diff(rows))) / r.sample_rate_hz for r, rows in moving if len(rows)}
+    if not apart_s:
+        return []
+    return [
+        f"While it moves the temperature is read every {max(apart_s.values()):.2g} s only ({', '.join(apart_s)}): taken to go straight "
+        "from reading to reading, with the reference's corners. Read it ten times a second, so that what depends on it is told."
+    ]
 
 
 def _cut_short(campaign: Campaign) -> list[str]:

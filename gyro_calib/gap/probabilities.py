@@ -16,8 +16,9 @@ _NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
 #: From 4 on were, of those with verdict none in trials, 44 of 258 healthy devices and 5 of 21 others, which is 1.4 times as often; few are
 #: the others, so up to three times is believed
 _DOUBTFUL, _AT_MOST = 6.0, 0.36
-#: of what trials found unknown (29, of these one wrong), what was, and what was none; the rest has a name
-_UNKNOWN_IS, _UNKNOWN_IS_NONE = 0.9, 0.03
+#: how often what was found unknown is none, up to a chi-square, beyond which that falls with it, and at least: of 30 trials 22 took more
+#: than that, all of them right, and of the 8 others one was healthy; how much of the rest has no name
+_UNKNOWN_IS_NONE, _UP_TO, _AT_LEAST, _UNKNOWN_IS = 0.12, 100.0, 0.01, 0.93
 #: log evidence of a line beside the carrier, which the selection does not weigh
 _LINE = 50.0
 
@@ -38,7 +39,8 @@ def none_or_unknown(selection: Selection, lines: Sequence[FoundEffect], unknown:
         What is left of 1 is for the catalogue: the effects that are named and, of a device without, one too small to be seen.
     """
     if unknown is not None:
-        return _UNKNOWN_IS_NONE, _UNKNOWN_IS
+        none = max(_UNKNOWN_IS_NONE * min(_UP_TO / max(unknown.gain, 1.0), 1.0), _AT_LEAST)
+        return none, _UNKNOWN_IS * (1.0 - none)
     found = [*selection.probabilities, *(e.probability for e in lines)]
     if found:
         # what is not this effect is another or unnamed: against none the evidence itself speaks

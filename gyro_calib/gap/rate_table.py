@@ -43,6 +43,8 @@ _SKEWED_RATE = 0.05
 _STEP_S, _MOST_STEPS = 0.1, 12
 #: share of the fastest change below which a table stands still; what a step leaves over ``dOmega / 2 w``: kappa, and a phase nobody knows
 _STILL, _OF_PHASE = 1e-6, 0.5
+#: by how much each step of a table is early or late by itself [s]
+_SERVO_S = 1e-4
 
 
 def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list[Column]:
@@ -117,9 +119,11 @@ def _carrier_phases(evidence: CampaignEvidence) -> list[Column]:
                 )
                 for place, of_all in ((SIGNAL, [e.signal.lhs for e in evidence]), (QUIET, [e.quiet.lhs for e in evidence]))
             ]
-            for name, factor in (("re", 1.0), ("im", 1j)):
+            # a servo that takes its steps by the millisecond turns by a little more or less: of the same form, and larger
+            servo = 2.0 * s.omega0_rad_s * _SERVO_S
+            for name, factor, size in (("re", 1.0, math.hypot(_OF_PHASE, servo)), ("im", 1j, _OF_PHASE)):
                 signal, quiet = (tuple(factor * v for v in side) for side in alone)
-                columns.append(Column(f"table_step_{r.index}_{k}_{name}", signal, quiet, _OF_PHASE))
+                columns.append(Column(f"table_step_{r.index}_{k}_{name}", signal, quiet, size))
     return columns
 
 

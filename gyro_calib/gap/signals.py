@@ -19,7 +19,16 @@ from ..estimation.wave_projection import frame_directions, spectral_derivatives,
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
 
-__all__ = ["SMOOTH_S", "WARMING_K", "Signals", "smooth_temperature", "with_pick", "with_temperature"]
+__all__ = [
+    "SMOOTH_S",
+    "WARMING_K",
+    "Signals",
+    "held_readings",
+    "smooth_reading",
+    "smooth_temperature",
+    "with_pick",
+    "with_temperature",
+]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,6 +36,8 @@ Made = TypeVar("Made")
 
 #: temperature span of a recording from which on its temperature moved [K]; over how long a sensor is smoothed then [s]
 WARMING_K, SMOOTH_S = 0.3, 0.4
+#: a reading is held while it changes by less than this share of its largest change, for so long [s], so often, and most of the time
+_HELD_SHARE, _HELD_S, _FEWEST_HELD, _HELD_MOST = 0.02, 0.15, 4, 0.5
 #: over how long a reference is smoothed, which follows the resonance [s]; correlation with the temperature from which on it does
 _CORNER_S, _FOLLOWS = 0.1, 0.99
 
@@ -39,7 +50,8 @@ def smooth_temperature(recording: Recording) -> FloatArray:
     if np.ptp(running) <= WARMING_K:
         return running
     reference = recording.ref_omega_rad_s - recording.ref_omega_rad_s.mean()
-    slow = _running_mean(reference, SMOOTH_S * recording.sample_rate_hz)
+    # as the sensor reads: corners between two readings are those of the reference, too
+    slow = _running_mean(_through(held_readings(recording), reference), SMOOTH_S * recording.sample_rate_hz)
     warm = running - running.mean()
     follows = np.ptp(slow) > 0.0 and abs(np.corrcoef(warm, slow)[0, 1]) > _FOLLOWS
     if recording.command.mode == "loops_off" or not follows:
@@ -50,12 +62,38 @@ def smooth_temperature(recording: Recording) -> FloatArray:
 
 def smooth_reading(recording: Recording) -> FloatArray:
     """What the sensor alone says of every row: late by its own lag at every corner, as a reference is not."""
-    raw, n = recording.temperature_degc, len(recording)
+    raw, n = _through(held_readings(recording), recording.temperature_degc), len(recording)
     place = np.linspace(-1.0, 1.0, n)
     running = _running_mean(raw, SMOOTH_S * recording.sample_rate_hz)
     if np.ptp(running) > WARMING_K:
         return running
     return np.asarray(raw.mean() + place * float(place @ raw) / float(place @ place))
+
+
+def held_readings(recording: Recording) -> NDArray[np.intp]:
+    """Rows at which a sensor was read that is read more rarely than rows are written, each reading held until the next; or none.
+
+    Steps of a second while it is warmed are no steps of the resonator: of a healthy ring's amplitude they were 550 000 times the noise.
+    """
+    raw = recording.temperature_degc
+    change = np.abs(np.diff(raw))
+    still = np.concatenate([[False], change <= _HELD_SHARE * change.max(initial=0.0), [False]])
+    edges = np.flatnonzero(np.diff(still.astype(int)))
+    first, last = edges[::2], edges[1::2]
+    held = last - first > _HELD_S * recording.sample_rate_hz
+    first, last = first[held], last[held]
+    if len(first) < _FEWEST_HELD or np.sum(last - first) < _HELD_MOST * len(raw):
+        return np.array([], dtype=np.intp)
+    period = float(np.median(np.diff(first)))
+    # one that stays for longer was read again meanwhile, and was the same
+    again = np.round(last[last - first > 1.5 * period] + 1 - period).astype(int)
+    rows = np.unique(np.concatenate([first, again, last[-1:]]))
+    return np.asarray(rows[(rows >= 0) & (rows < len(raw))])
+
+
+def _through(rows: NDArray[np.intp], x: FloatArray) -> FloatArray:
+    """Straight lines between those rows; everything as it is where there are none."""
+    return np.asarray(np.interp(np.arange(len(x)), rows, x[rows])) if len(rows) else x
 
 
 def _running_mean(x: FloatArray, rows: float) -> FloatArray:

@@ -26,15 +26,17 @@ __all__ = ["MOST_WANDER", "drift_family", "slow_drifts"]
 ComplexArray = NDArray[np.complex128]
 #: half cosines of the campaign's time; families that stand still in the case, which a wave may turn past
 _COSINES, _OF_CASE = 8, ("strayc", "strays", "gain", "phase")
-#: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate and damping
-#: over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
-_STRAY, _GAIN, _PHASE, _RATE, _DAMPING = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5
+#: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate, damping and
+#: split over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
+_STRAY, _GAIN, _PHASE, _RATE, _DAMPING, _SPLIT = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5, 3e-5
+#: what parts the two modes, along the axes and between them
+_SPLITS = {"c": np.diag([1.0, -1.0]), "s": np.eye(2)[::-1]}
 #: how far a resonance wanders between records at most, over its frequency: its millikelvins, which take minutes
 MOST_WANDER = 5e-7
 
 
 def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
-    """What drifts, one unit of it: stray volts of each drive by phase, relative gains, phases, rate, damping, frequency."""
+    """What drifts, one unit of it: stray volts of each drive by phase, relative gains, phases, rate, damping, frequency, split."""
     s = r.signals
     closed = complex(r.is_wave)
     unit = np.full((len(s.time_s), 2), closed)
@@ -45,7 +47,8 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
     for axis, name in zip(axes, "xy", strict=True):
         parts += [Part(f"stray{phase}.{name}", "drive", factor * unit * axis) for phase, factor in (("c", 1.0), ("s", 1j))]
         parts += [Part(f"{what}.{name}", "drive", factor * s.drive * axis) for what, factor in (("gain", 1.0 + 0j), ("phase", 1j))]
-    return [*parts, Part("rate.z", "flow", across), Part("damping.z", "flow", -motion), Part("frequency.z", "flow", 1j * closed * motion)]
+    parts += [Part("rate.z", "flow", across), Part("damping.z", "flow", -motion), Part("frequency.z", "flow", 1j * closed * motion)]
+    return parts + [Part(f"split.{name}", "flow", 1j * closed * (motion @ shape)) for name, shape in _SPLITS.items()]
 
 
 def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
@@ -59,6 +62,7 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     volts = float(np.median([np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))) for r in evidence if r.is_wave]))
     largest = {"strayc": _STRAY * volts, "strays": _STRAY * volts, "gain": _GAIN, "phase": _PHASE, "rate": _RATE * evidence.decay_rate}
     largest |= {"damping": _DAMPING * evidence.decay_rate, "frequency": MOST_WANDER * evidence.omega0_rad_s}
+    largest["split"] = _SPLIT * evidence.decay_rate
     columns = []
     for column in base:
         family = column.name.split(".")[0]

@@ -21,7 +21,15 @@ from .nuisance import BOTH_PICKOFFS, GAIN_PER_K, NOTICED_K, following_columns
 from .parts import Linear
 from .signals import SMOOTH_S, with_temperature
 
-__all__ = ["OWN", "THERMOMETER", "own_columns", "own_detuning_rad_s", "thermometer_columns"]
+__all__ = [
+    "OWN",
+    "THERMOMETER",
+    "own_columns",
+    "own_detuning_rad_s",
+    "said_sensor_late",
+    "sensor_late_s",
+    "thermometer_columns",
+]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -33,6 +41,8 @@ OWN = "own_millikelvins"
 _HELD = ("whole_angle", "ftr_x", "ftr_y")
 #: a relative change of the resonance with temperature that few have less of [1/K]
 _LEAST_PER_K = 5e-6
+#: a sensor that is later than this is no good one [s]
+_LATE_S = 0.4
 
 
 def thermometer_columns(evidence: CampaignEvidence, linear: Linear, values: Mapping[str, float], error_k: float) -> list[Column]:
@@ -105,6 +115,25 @@ def own_detuning_rad_s(r: RecordingEvidence, linear: Linear, values: Mapping[str
     away += values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(away))
     smooth = uniform_filter1d(away, max(round(SMOOTH_S / s.row_s), 1), mode="nearest")
     return np.asarray(smooth - smooth.mean())
+
+
+def sensor_late_s(values: Mapping[str, float]) -> float:
+    """How late the sensor is [s], if it is later than a good one: a resonator that is later than its sensor is an effect, this is none.
+
+    What follows the temperature is then ahead of what it says, by the rate of its change, as no healthy device is taken to be.
+    """
+    late_s = -values.get("thermal_lag.tau", 0.0)
+    return late_s if late_s > _LATE_S else 0.0
+
+
+def said_sensor_late(late_s: float) -> list[str]:
+    """A line on a sensor that was late."""
+    if not late_s:
+        return []
+    return [
+        f"The thermometer is {late_s:.2g} s later than the resonator's frequency, and what has no name and goes with the rate of change of "
+        "the temperature is not told from that. Measure the resonator's own temperature, or ramp it more slowly."
+    ]
 
 
 def _alone(k: int, parts: list[ComplexArray], sizes: list[int]) -> tuple[ComplexArray, ...]:
