@@ -244,7 +244,7 @@ def _more_than_they_say(model: CampaignModel, selection: Selection, shrunk: Shri
     """The unnamed term that says most of what effects leave, if they leave more of unseen experiments than ones of the right form."""
     if not selection.effects or not shrunk.leaves_more:
         return None
-    return _unknown(unnamed_rest(model, [e.candidate for e in selection.effects], selection.effects[0].name))
+    return _unknown(unnamed_rest(model, [e.candidate for e in selection.effects]))
 
 
 def _within_recordings(model: CampaignModel, with_effects: bool) -> Unknown | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .anonymous import HEATED, Anonymous
 from .floors import beside_wander, louder_floors
+from .kin import nearest_known
 from .model import CampaignModel
 from .parts import SKEW
 from .screen import Candidate, Screened, Screener, worth
@@ -90,31 +91,33 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
     """The anonymous term that shows in what the registry leaves, if it is more than what a good model may leave."""
     screener = model.screener_with(chosen)
     rest = _most_worth(_unnamed(model, screener, chosen))
-    nearest = first[0].name if first else ""
     significant = (screener.chi2 - screener.dof) / np.sqrt(2.0 * screener.dof)
     before = model.screener.chi2 - model.screener.dof
     share = (screener.chi2 - screener.dof) / before if before > 0.0 else 0.0
     if rest is not None:
-        best, term = rest
-        if unnamed_counts(best, effects) and _seen_at_rest(model, chosen, best, term):
+        if unnamed_counts(rest[0], effects) and _seen_at_rest(model, chosen, *rest):
             # three names that are not it say less of it than the one term that comes nearest
             said = _most_worth(_unnamed(model, model.screener)) if len(effects) >= _TOO_MANY else None
-            best, term = said or rest
-            return Stranger(term, best, nearest)
+            return _stranger(model, said or rest)
         if chosen:
             alone = _most_worth(_unnamed(model, model.screener))
             named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, first))
             if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects)):
-                return Stranger(alone[1], alone[0], nearest)
+                return _stranger(model, alone)
         if significant > LEFT_SIGMA and share > LEFT_SHARE:
-            return Stranger(term, best, nearest)
+            return _stranger(model, rest)
     return None
 
 
-def unnamed_rest(model: CampaignModel, chosen: Sequence[Candidate], nearest: str) -> Stranger | None:
+def unnamed_rest(model: CampaignModel, chosen: Sequence[Candidate]) -> Stranger | None:
     """The anonymous term that says most of what effects leave."""
-    most = _most_worth(_unnamed(model, model.screener_with(chosen), chosen))
-    return Stranger(most[1], most[0], nearest) if most is not None else None
+    screener = model.screener_with(chosen)
+    most = _most_worth(_unnamed(model, screener, chosen))
+    return _stranger(model, most) if most is not None else None
+
+
+def _stranger(model: CampaignModel, found: tuple[Screened, Anonymous]) -> Stranger:
+    return Stranger(found[1], found[0], nearest_known(model, found[0].candidate))
 
 
 def _most_worth(found: Sequence[tuple[Screened, Anonymous]]) -> tuple[Screened, Anonymous] | None:
