@@ -16,12 +16,20 @@ from gyro_calib.gap.noise_law import Lines, NoiseLaw
 LINES = Lines(np.array([0.02, 0.1, 0.2]), np.array([0.01, 0.01, 0.04]), 1.0, np.array([True, False, False]))
 
 
-def model(excess: dict[tuple[int, str], float], turned: int = -1, *, warmed: int = -1, louder: float = 1.0) -> CampaignModel:
+def model(
+    excess: dict[tuple[int, str], float], turned: int = -1, *, warmed: int = -1, louder: float = 1.0, read_every: int = 1
+) -> CampaignModel:
+    warm = np.linspace(25.0, 33.0, 1000)
     recordings = [
         SimpleNamespace(
             index=k,
             signal=SimpleNamespace(lhs=np.zeros(20, dtype=complex)),
-            recording=SimpleNamespace(label=f"run_{k}", extras={"applied_rate": {}} if k == turned else {}),
+            recording=SimpleNamespace(
+                label=f"run_{k}",
+                extras={"applied_rate": {}} if k == turned else {},
+                temperature_degc=np.repeat(warm[::read_every], read_every)[: warm.size],
+                sample_rate_hz=100.0,
+            ),
             is_warming=k == warmed,
             is_wave=True,
             parent_role="ftr_x",
@@ -60,11 +68,15 @@ def test_a_rate_table_does_things_besides_its_log() -> None:
 
 def test_what_a_moving_temperature_holds_beyond_all_effects_is_no_noise() -> None:
     """Of one or two records each by itself the noise is what they hold: it is measured against the records at rest."""
-    assert loudest(model({}, warmed=2, louder=87.0)) is None
-    loud = loudest(model({(2, "amplitude"): 7.0}, warmed=2, louder=78.0))
+    for healthy in (87.0, 325.0):
+        assert loudest(model({}, warmed=2, louder=healthy)) is None
+    strange = {(2, "amplitude"): 7.0}
+    loud = loudest(model(strange, warmed=2, louder=780.0))
     assert loud is not None
-    assert "run_2 holds 546 times the noise of recordings at rest (amplitude)" in loud.warning()
+    assert "run_2 holds 5460 times the noise of recordings at rest (amplitude)" in loud.warning()
     assert loud.unknown().depends_on == "temperature"
+    # between readings of a second nobody knows how warm it was
+    assert loudest(model(strange, warmed=2, louder=780.0, read_every=100)) is None
 
 
 def test_a_thermometer_may_err_in_a_frequency() -> None:

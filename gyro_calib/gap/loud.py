@@ -22,8 +22,8 @@ __all__ = ["Loud", "loudest"]
 #: power over that of its kind from which on a recording is not of its kind; those of some forty healthy campaigns came to 4.4
 _LOUD = 8.0
 #: power of a warmed recording over that of its mode at rest from which on it holds more than noise; of 18 healthy units of another
-#: plant it came to 9, of a practice hemisphere to 13
-_WARMED = 300.0
+#: plant it came to 9, of a practice hemisphere to 13, of one healthy hemisphere of trials to 325
+_WARMED = 1000.0
 
 
 @dataclass(frozen=True)
