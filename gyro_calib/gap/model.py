@@ -221,7 +221,7 @@ def _weighed(
     unnamed = [*turned, *strange, *straight]
     # what lags behind the temperature shows in two or three records, which drifts of their own follow as well
     shown = counting(Screener(Whitener.of(evidence, plain.noise), nuisances, target_of(evidence, angular_gain)), unnamed)
-    shown |= {c.name for a, c in bank if a.form.startswith(LATE)}
+    shown = list(dict.fromkeys([*(c.name for a, c in bank if a.form.startswith(LATE)), *shown]))
     allowed = [*saturated_columns(evidence, linear, held, candidates, unnamed, shown), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)
@@ -243,7 +243,8 @@ def _weighed(
     screener = Screener(Whitener.of(evidence, noise, excess), sized, target)
     there = counting(screener, [*(c for tried in candidates.values() for c in tried), *turned, *strange])
     named = {name: tried for name, tried in candidates.items() if name in there}
-    lean = saturated_columns(evidence, linear, sized, named, [c for c in [*turned, *strange] if c.name in there])
+    unnamed = [c for c in [*turned, *strange] if c.name in there]
+    lean = saturated_columns(evidence, linear, sized, named, unnamed, [name for name in there if name not in named])
     noise = remeasured(evidence, [*lean, *going], noise, excess, angular_gain)
     return Whitener.of(evidence, noise, excess), noise, excess, sized
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -70,9 +70,10 @@ def columns_of_time(candidates: Mapping[str, Sequence[Candidate]]) -> list[Colum
     return effect_columns([c for name, tried in candidates.items() if is_of_time(name) for c in _some(tried)])
 
 
-def counting(screener: Screener, candidates: Iterable[Candidate]) -> set[str]:
-    """Names of effects and of unnamed terms that may be there: what repeats differ by need not be noise."""
-    return {found.name for found in screener.screened(candidates) if found.log_evidence > _COUNTS}
+def counting(screener: Screener, candidates: Iterable[Candidate]) -> list[str]:
+    """Names of effects and of unnamed terms that may be there, the likeliest first: what repeats differ by need not be noise."""
+    found = sorted(screener.screened(candidates), key=lambda s: -s.log_evidence)
+    return list(dict.fromkeys(s.name for s in found if s.log_evidence > _COUNTS))
 
 
 def open_drive(evidence: CampaignEvidence) -> bool:
@@ -86,7 +87,7 @@ def saturated_columns(
     nuisances: Sequence[Column],
     candidates: Mapping[str, Sequence[Candidate]],
     unnamed: Sequence[Candidate],
-    shown: Collection[str] = (),
+    shown: Sequence[str] = (),
 ) -> list[Column]:
     """Every effect at once, each of a size that it may have, and unnamed terms: what has no name is no noise either.
 
@@ -103,8 +104,8 @@ def saturated_columns(
     candidates : mapping
         Effects by name.
     unnamed : sequence of Candidate
-    shown : collection of str
-        Names of those that are held where there are no equations for all of them.
+    shown : sequence of str
+        Names of those of them that are held, as far as there is room, where there are no equations for all.
     """
     told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
     chosen = [_not_gross(evidence, linear, c) for tried in told.values() for c in _some(tried)]
@@ -112,12 +113,23 @@ def saturated_columns(
         nuisances = [c for c in nuisances if not c.name.startswith(("drive_lag", BOTH_DRIVES_LATE))]
         chosen = [c for c in chosen if c.name not in _FAST]
     # few recordings have no equations for all of that: it would explain their noise
-    small = [_small(evidence, linear, c) for c in unnamed]
-    for kept in ([*chosen, *small], [*chosen, *(c for c in small if c.name in shown)], chosen, _fewest(chosen)):
-        held = [c for c in effect_columns(kept) if any(np.any(v) for v in c.signal)]
-        if len(nuisances) + len(held) <= _SATURATION * sum(2 * r.signal.lhs.size for r in evidence):
-            return [*nuisances, *held]
-    return list(nuisances)
+    room = int(_SATURATION * sum(2 * r.signal.lhs.size for r in evidence)) - len(nuisances)
+    named = next((held for kept in (chosen, _fewest(chosen)) if len(held := _columns(kept)) <= room), None)
+    if named is None:
+        return list(nuisances)
+    # both phases of a term have one name
+    small: dict[str, list[Column]] = {}
+    for c in unnamed:
+        small.setdefault(c.name, []).extend(_columns([_small(evidence, linear, c)]))
+    room -= len(named)
+    if sum(len(columns) for columns in small.values()) > room:
+        kept = np.cumsum([len(small[name]) for name in shown]) <= room
+        small = {name: small[name] for name, there in zip(shown, kept, strict=True) if there}
+    return [*nuisances, *named, *(c for columns in small.values() for c in columns)]
+
+
+def _columns(candidates: Sequence[Candidate]) -> list[Column]:
+    return [c for c in effect_columns(candidates) if any(np.any(v) for v in c.signal)]
 
 
 def _fewest(chosen: Sequence[Candidate]) -> list[Candidate]:
