@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from table_samples import looked_at, on_a_table
 
 from gyro_calib.gap.diagnosis import Unknown
 from gyro_calib.gap.monomials import FED, MONOMIALS
-from gyro_calib.gap.next_experiment import experiment_for
+from gyro_calib.gap.next_experiment import _recipe, _varied, experiment_for
 
 #: on what terms of other sources depend: courses of time, one recording, halves that disagree
 OTHERS = {"time", "recording", "experiment"}
@@ -24,3 +25,9 @@ def test_the_experiment_varies_what_the_term_depends_on() -> None:
     assert "five amplitudes" in said["amplitude"]
     assert "10 K" in said["temperature"]
     assert "deg/s" in said["rate"]
+
+
+def test_a_gyro_whose_wave_never_turns_is_asked_for_no_precession() -> None:
+    model = looked_at(on_a_table())
+    assert "precession" not in _recipe(model, "large drive")
+    assert "azimuth" in _varied(model), "nothing to ask for"

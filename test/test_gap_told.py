@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.diagnose import _summary
+from gyro_calib.gap.diagnose import _said, _summary
 from gyro_calib.gap.diagnosis import FoundEffect
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screener
@@ -104,3 +104,11 @@ def test_a_share_that_nobody_knows_is_not_told(sd: float, words: str) -> None:
     said = _summary("effects", (effect,), None, SimpleNamespace(closed=0.467, closed_sd=sd))  # type: ignore[arg-type]
     assert words in said
     assert said.startswith("Present: drive_delay (tau_x = 4e-05")
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [(7.11e-6, 0.031, "0 ± 0.031 V"), (-7.11e-6, 0.031, "0 ± 0.031 V"), (3.6512e-5, 4e-7, "3.651e-05 ± 4e-07 V"), (1.5, 0.0, "1.5 ± 0 V")],
+)
+def test_a_size_is_said_to_the_second_digit_of_its_sd(value: float, sd: float, text: str) -> None:
+    assert _said(Quantity(value, sd, "V")) == text

@@ -22,7 +22,7 @@ from .column import Column
 from .columns import part_columns
 from .evidence import CampaignEvidence
 from .linear_device import TEMPERATURE_SPAN_K, span_k
-from .parts import Linear, Part, read_at_once
+from .parts import SPLIT, Linear, Part, read_at_once
 from .screen import Candidate, Screened, Screener, worth
 from .signals import Signals
 from .system import Whitener
@@ -43,13 +43,13 @@ _SETTLING_S = (2.0, 5.0, 15.0)
 _SIZE = 0.01
 #: where, in which phase, and of what shape, each an unknown: of an axis, of both alike, of what makes one axis unlike the other,
 #: of a rate
-_AXES, _ALIKE, _SPLIT = (np.diag([1.0, 0.0]), np.diag([0.0, 1.0])), (np.eye(2),), (np.diag([1.0, -1.0]), np.eye(2)[::-1])
+_AXES, _ALIKE = (np.diag([1.0, 0.0]), np.diag([0.0, 1.0])), (np.eye(2),)
 _CROSSED = (np.array([[0.0, -1.0], [1.0, 0.0]]),)
 _PLACES = (
     *((location, phase, _AXES) for location in ("drive", "pick-off") for phase in ("in phase", "in quadrature")),
     ("dynamics", "in phase", _ALIKE),
-    ("dynamics", "in phase", _SPLIT),
-    ("dynamics", "in quadrature", _SPLIT),
+    ("dynamics", "in phase", SPLIT),
+    ("dynamics", "in quadrature", SPLIT),
     ("dynamics", "in phase", _CROSSED),
 )
 
@@ -142,7 +142,7 @@ class Courses:
 
 
 def _of_shape(shape: tuple[FloatArray, ...]) -> str:
-    if shape is _SPLIT:
+    if shape is SPLIT:
         return ", other on each axis or crossed"
     return ", crossed" if shape is _CROSSED else ""
 

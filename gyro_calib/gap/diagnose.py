@@ -315,6 +315,7 @@ def _said(q: Quantity) -> str:
     if not (q.sd > 0.0 and math.isfinite(q.sd)):
         return f"{q.value:.3g} ± {q.sd:.2g} {q.unit}"
     last = math.floor(math.log10(q.sd)) - 1
-    value = round(q.value, -last)
+    # no minus before nothing
+    value = round(q.value, -last) + 0.0
     digits = max(math.floor(math.log10(abs(value))) - last + 1, 1) if value else 1
     return f"{value:.{digits}g} ± {q.sd:.2g} {q.unit}"

@@ -65,13 +65,13 @@ def _varied(model: CampaignModel) -> set[str]:
         "open drive": any(r.command.excitation.kind == "drive" for r in records),
         "side bands": any(r.command.excitation.kind.endswith("modulation") for r in records),
         # a gyro that is rebalanced has no wave to be turned
-        "azimuth": any(r.signal.turn_rad > _TURN_RAD for r in model.evidence) or not _turns(model),
+        "azimuth": any(r.signal.turn_rad > _TURN_RAD for r in model.evidence) or not _may_turn(model),
         "large drive": max(_volts(r) for r in model.evidence) > _LARGE * float(np.median([_volts(r) for r in waves])),
     }
     return {name for name, yes in found.items() if yes}
 
 
-def _turns(model: CampaignModel) -> bool:
+def _may_turn(model: CampaignModel) -> bool:
     return any(r.recording.command.mode == "whole_angle" for r in model.evidence)
 
 
@@ -81,7 +81,7 @@ def _volts(r: RecordingEvidence) -> float:
 
 
 def _recipe(model: CampaignModel, need: str) -> str:
-    return _REBALANCED[need] if need in _REBALANCED and not _turns(model) else _RECIPES[need]
+    return _REBALANCED[need] if need in _REBALANCED and not _may_turn(model) else _RECIPES[need]
 
 
 def _repeats(model: CampaignModel, selection: Selection) -> list[Alternative]:

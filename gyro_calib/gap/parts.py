@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .followed import Followed
 from .signals import Signals
 
-__all__ = ["REST", "SKEW", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
+__all__ = ["REST", "SKEW", "SPLIT", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -22,6 +22,8 @@ SKEW = "skew"
 REST = f"{SKEW}_rest"
 #: how unequal the pick-offs of a unit are
 UNEQUAL = 0.03
+#: what parts the two modes: along the axes, and between them, shape (2, 2) each
+SPLIT = (np.diag([1.0, -1.0]), np.eye(2)[::-1])
 #: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
 Kind = Literal["flow", "drive", "output"]
 #: values of the parameters that are not linear

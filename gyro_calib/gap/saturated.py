@@ -123,8 +123,8 @@ def saturated_columns(
         small.setdefault(c.name, []).extend(_columns([_small(evidence, linear, c)]))
     room -= len(named)
     if sum(len(columns) for columns in small.values()) > room:
-        kept = np.cumsum([len(small[name]) for name in shown]) <= room
-        small = {name: small[name] for name, there in zip(shown, kept, strict=True) if there}
+        fits = np.cumsum([len(small[name]) for name in shown]) <= room
+        small = {name: small[name] for name, there in zip(shown, fits, strict=True) if there}
     return [*nuisances, *named, *(c for columns in small.values() for c in columns)]
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from .column import Column
 from .columns import part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .parts import Linear, Part, turned
+from .parts import SPLIT, Linear, Part, turned
 
 __all__ = ["MOST_WANDER", "drift_family", "slow_drifts"]
 
@@ -29,8 +29,6 @@ _COSINES, _OF_CASE = 8, ("strayc", "strays", "gain", "phase")
 #: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate, damping and
 #: split over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
 _STRAY, _GAIN, _PHASE, _RATE, _DAMPING, _SPLIT = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5, 3e-5
-#: what parts the two modes, along the axes and between them
-_SPLITS = {"c": np.diag([1.0, -1.0]), "s": np.eye(2)[::-1]}
 #: how far a resonance wanders between records at most, over its frequency: its millikelvins, which take minutes
 MOST_WANDER = 5e-7
 
@@ -48,7 +46,7 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
         parts += [Part(f"stray{phase}.{name}", "drive", factor * unit * axis) for phase, factor in (("c", 1.0), ("s", 1j))]
         parts += [Part(f"{what}.{name}", "drive", factor * s.drive * axis) for what, factor in (("gain", 1.0 + 0j), ("phase", 1j))]
     parts += [Part("rate.z", "flow", across), Part("damping.z", "flow", -motion), Part("frequency.z", "flow", 1j * closed * motion)]
-    return parts + [Part(f"split.{name}", "flow", 1j * closed * (motion @ shape)) for name, shape in _SPLITS.items()]
+    return parts + [Part(f"split.{name}", "flow", 1j * closed * (motion @ shape)) for name, shape in zip("cs", SPLIT, strict=True)]
 
 
 def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
