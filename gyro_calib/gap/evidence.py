@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..estimation.wave import wave_coordinates
 from ..estimation.wave_lines import role_of
-from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame
+from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame, thinning
 from ..recording.recording import Recording
 from .lines import lines_of
 from .noise_law import Grams, Lines
@@ -29,8 +29,6 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: of a wave: along it (real: amplitude, imaginary: frequency), then across it
 CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
-#: rows per second after thinning
-THIN_HZ = 100.0
 #: effective frequency of a record's mean over one by its duration; of the mean of a wave's frequency, which walks by a nuisance of its own
 MEAN_LINE, OWN_MEAN_LINE = 0.3, 10.0
 #: keys of the noise of a wave's frequency, of which a temperature moves and of which none does
@@ -174,8 +172,7 @@ class CampaignEvidence:
 def _evidence(
     index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float, before: Signals | None
 ) -> RecordingEvidence:
-    width = max(1, round(recording.sample_rate_hz / THIN_HZ))
-    signals = Signals(recording, omega0, decay_rate, width, temperature, start, index, before)
+    signals = Signals(recording, omega0, decay_rate, thinning(recording), temperature, start, index, before)
     rise = smooth_temperature(recording) - temperature
     products = Products(
         recording,
