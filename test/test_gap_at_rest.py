@@ -37,6 +37,8 @@ def test_an_effect_of_all_recordings_counts_without_the_turned_ones() -> None:
     still = model.at_rest(whole, ())
     assert still is not None
     assert 0.5 * whole.gain < still.gain < whole.gain
+    # of the size that all recordings say those that stood still are the better for it, by hardly less than of their own
+    assert 0.9 * still.gain < model.taken_at_rest(whole, ()) <= still.gain
     assert seen_at_rest(model, [whole], whole)
 
 
@@ -50,6 +52,7 @@ def test_what_only_the_table_shows_is_no_effect_of_a_device_at_rest() -> None:
     # the same signal under the name of an effect that would be there at rest too
     at_rest = replace(shown, candidate=replace(shown.candidate, name="nonlinear_damping"))
     assert not seen_at_rest(model, [at_rest], at_rest)
+    assert model.taken_at_rest(at_rest, ()) < 1.0
     assert all("rate" in EFFECTS[e.name].needs for e in select_effects(model).effects)
 
 

@@ -107,11 +107,16 @@ class CampaignModel:
 
     def seen_without(self, recordings: Sequence[int], found: Screened, others: Sequence[Candidate]) -> Screened | None:
         """An effect beside others as all but some recordings show it, given by index."""
-        if not recordings:
-            return found
+        return self._without(recordings, others).screen(found.candidate) if recordings else found
+
+    def taken_at_rest(self, found: Screened, others: Sequence[Candidate]) -> float:
+        """Chi-square that an effect of the size it has in all recordings takes away from those that were not turned."""
+        return self._without(self._turned, others).taken(found)
+
+    def _without(self, recordings: Sequence[int], others: Sequence[Candidate]) -> Screener:
         silent = {(index, channel): _SILENT for index in recordings for channel in CHANNELS}
         whitener = Whitener.of(self.evidence, self.noise, {**self.excess, **silent})
-        return Screener(whitener, [*self.nuisances, *effect_columns(others)], self.target).screen(found.candidate)
+        return Screener(whitener, [*self.nuisances, *effect_columns(others)], self.target)
 
     @property
     def target(self) -> list[ComplexArray]:

@@ -163,6 +163,12 @@ class Screener:
         """What a candidate explains; nothing when no recording holds it or the nuisances imitate all of it."""
         return self._judged(candidate, *self.projected(candidate.columns))
 
+    def taken(self, found: Screened) -> float:
+        """Chi-square that a candidate of a size that was found elsewhere takes away; below zero where it does not belong."""
+        clean, _ = self.projected(found.candidate.columns)
+        rest = self.left - clean @ found.values
+        return self.chi2 - float(rest @ rest)
+
     def screened(self, candidates: Iterable[Candidate]) -> list[Screened]:
         """What each of many explains, without those that explain nothing: in one product, which takes a fraction of the time."""
         of_all = list(candidates)

@@ -141,11 +141,18 @@ def _stands(found: Screened, louder: float) -> bool:
 
 
 def seen_at_rest(model: CampaignModel, effects: Sequence[Screened], found: Screened) -> bool:
-    """Whether an effect that has nothing to do with rate counts without the recordings that were turned, or they hardly tell of it."""
+    """Whether an effect that has nothing to do with rate counts without the recordings that were turned, or they hardly tell of it.
+
+    Or the others want it of the same size: a delay of pick-offs tilts a turning wave, and a table turns it ten times as fast as drives do.
+    For what a table makes of its own they are the worse.
+    """
     if "rate" in EFFECTS[found.name].needs:
         return True
-    still = model.at_rest(found, [e.candidate for e in effects if e is not found])
-    return still is not None and still.log_evidence > min(MARGIN, found.log_evidence - _TURNED)
+    others = [e.candidate for e in effects if e is not found]
+    still = model.at_rest(found, others)
+    if still is None:
+        return False
+    return still.log_evidence > min(MARGIN, found.log_evidence - _TURNED) or model.taken_at_rest(found, others) > _CLOSE
 
 
 def select_effects(model: CampaignModel) -> Selection:
