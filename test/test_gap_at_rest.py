@@ -13,7 +13,8 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.select import seen_at_rest, select_effects
+from gyro_calib.gap.at_rest import seen_at_rest
+from gyro_calib.gap.select import select_effects
 from gyro_calib.recording.applied_rate import is_turned
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.recording import Campaign, Recording

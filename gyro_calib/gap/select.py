@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from ..effects import EFFECTS
+from .at_rest import seen_at_rest
 from .candidates import candidate_at, registry_name
 from .exact_levels import best_exact_level
 from .floors import beat_their_floors
@@ -37,7 +38,7 @@ from .strangers import (
     worth_of,
 )
 
-__all__ = ["Selection", "as_good", "best_of_each", "seen_at_rest", "select_effects"]
+__all__ = ["Selection", "as_good", "best_of_each", "select_effects"]
 
 #: an effect that is as good as the best within this log evidence, or takes away as much within this chi-square, is not told apart from it
 _ALIKE, _CLOSE = 6.0, 9.0
@@ -61,8 +62,6 @@ _PAIRED = 8
 _SHARES, _ROUGH_SHARES, _SHARE_SD = (0.6, 1.7), (0.4, 2.5), 0.25
 #: a lag of the thermometer that is long against a ramp [s]
 _BENDING_LAG_S = 0.5
-#: log evidence that turned recordings may add to an effect that has nothing to do with rate and stands at the margin
-_TURNED = 1.0
 #: log evidence that an effect may gain between two settings of its grid
 _BETWEEN = 6.0
 #: a level that is tried as what it is must leave this much less than what was selected
@@ -138,21 +137,6 @@ def _enough(found: Screened, largest: float = 0.0) -> bool:
 def _stands(found: Screened, louder: float) -> bool:
     """Whether an effect counts where all recordings hold so much more power than the noise: that noise was measured too low."""
     return louder <= 1.0 or found.log_evidence - 0.5 * found.gain * (1.0 - 1.0 / louder) > MARGIN
-
-
-def seen_at_rest(model: CampaignModel, effects: Sequence[Screened], found: Screened) -> bool:
-    """Whether an effect that has nothing to do with rate counts without the recordings that were turned, or they hardly tell of it.
-
-    Or the others want it of the same size: a delay of pick-offs tilts a turning wave, and a table turns it ten times as fast as drives do.
-    For what a table makes of its own they are the worse.
-    """
-    if "rate" in EFFECTS[found.name].needs:
-        return True
-    others = [e.candidate for e in effects if e is not found]
-    still = model.at_rest(found, others)
-    if still is None:
-        return False
-    return still.log_evidence > min(MARGIN, found.log_evidence - _TURNED) or model.taken_at_rest(found, others) > _CLOSE
 
 
 def select_effects(model: CampaignModel) -> Selection:
