@@ -107,3 +107,39 @@ def test_an_axis_at_rest_rubs_as_its_pickoffs_are_not_square(skew: float) -> Non
 def _without_drive(signals: Signals) -> Signals:
     signals.__dict__["drive"] = np.zeros_like(signals.pick)
     return signals
+
+
+def test_a_stiffness_of_the_drives_may_meet_the_motion_late() -> None:
+    """``u^2 x`` at the carrier, the volts turned by one angle and the motion by another: all of it is in the parts to first order."""
+    signals, linear = moving(0.0)
+    turned_rad, late_rad = 0.03, 0.05
+    parts = {p.parameter: p.signal for p in FORMS["drive_stiffness"].parts(signals, linear, {})}
+    u, p = signals.drive * np.exp(1j * turned_rad), signals.pick
+    met = p * np.exp(-1j * late_rad)
+    whole = 1j * (2.0 * np.abs(u) ** 2 * met + u**2 * met.conj())
+    for axis, name in enumerate("xy"):
+        made = parts[f"k_{name}"] + UNEQUAL / 0.2 * (turned_rad * parts[f"{SKEW}_held_{name}"] + late_rad * parts[f"{SKEW}_met_{name}"])
+        second = 4.0 * (turned_rad + late_rad) ** 2 * np.abs(u[:, axis]) ** 2 * np.abs(p[:, axis])
+        assert np.all(np.abs(made[:, axis] - whole[:, axis]) <= second + 1e-12)
+        assert np.abs(parts[f"k_{name}"][:, axis] - whole[:, axis]).max() > 5.0 * second.max()
+
+
+def test_a_gradient_of_temperature_damps_unequally_as_well() -> None:
+    signals, linear = moving(0.0)
+    signals.__dict__["temperature_k"] = 0.5 * signals.time_s
+    setting = {"tau": 0.4}
+    split = {p.parameter: p.signal for p in FORMS["thermal_split_lag"].parts(signals, linear, setting)}
+    damped = {p.parameter: p.signal for p in FORMS["thermal_damping_anisotropy_lag"].parts(signals, linear, setting)}
+    for which in ("c", "s"):
+        beside, alone = split[f"{SKEW}_damped_{which}"], damped[f"c_{which}"]
+        np.testing.assert_allclose(beside, -0.3 / UNEQUAL * alone)
+        assert np.abs(alone).max() > 0.0
+
+
+def test_what_is_charged_drives_otherwise_as_well() -> None:
+    """By as much on both axes, and as the split comes: V0 is in the stiffness twice and in the force once."""
+    signals, linear = moving(0.0)
+    parts = {p.parameter: p for p in FORMS["charge_accumulation"].parts(signals, linear, {"tau": 0.7})}
+    rise = 1.0 - np.exp(-signals.time_s / 0.7)
+    assert parts[f"{SKEW}_gain"].kind == "drive"
+    np.testing.assert_allclose(parts[f"{SKEW}_gain"].signal, 3.0 / UNEQUAL * rise[:, None] * signals.drive)

@@ -104,13 +104,27 @@ def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force(
     assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x/|x|, as a split")
 
 
-def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander() -> None:
+@pytest.mark.parametrize("form", ["|x of 3 s|^2 x", "|x of 15 s|^2 x"])
+def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander(form: str) -> None:
     """It is in the shift of every record, whose size is measured: what goes as the energy of a quarter of a minute before is not that."""
     model = looked_at(on_a_table())
-    term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", "|x of 15 s|^2 x"))
+    term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", form))
     selection = selected([term.columns[1]])
     assert selection.stranger is not None
-    assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "|x of 15 s|^2 x")
+    assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", form)
+
+
+@pytest.mark.parametrize(
+    ("location", "form", "place"),
+    [("drive", "|u_j of 0.7 s|^2 x_j, u the drives", 2), ("dynamics", "Omega of 1 s before x, turned", 0)],
+)
+def test_what_warms_or_creeps_in_a_second_has_a_form(location: str, form: str, place: int) -> None:
+    """The output stage of a drive by its own power, and a mount by the rate that its table was just given."""
+    model = looked_at(on_a_table())
+    term = next(c for t, c in model.bank if (t.location, t.phase, t.form) == (location, "in phase", form))
+    selection = selected([term.columns[place]])
+    assert selection.stranger is not None
+    assert (selection.stranger.term.location, selection.stranger.term.form) == (location, form)
 
 
 def test_what_lies_between_records_is_asked_beside_a_wander_of_any_size() -> None:

@@ -13,10 +13,10 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from .memory import remembered
-from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, read_at_once, turned
+from .own_modes import mode_parts, modes
+from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, one_axis, read_at_once, turned
 from .signals import Signals
 
 __all__ = ["AT_REST", "FORMS", "behind", "conjugate_product", "cube"]
@@ -30,6 +30,10 @@ _UNLIKE: dict[str, ComplexArray] = {
     "mixed": np.array([[0.0, 0.5], [0.5, 0.0]], dtype=np.complex128),
     "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
 }
+#: what may come with an effect, over it: phase between the drives' volts and the motion that they meet, of converters that hold them
+#: [rad]; damping that a gradient of temperature makes unequal, over the split that it makes; gain of the drives, which goes as the charged
+#: bias, over the half split [s/rad]
+_HELD_RAD, _DAMPED, _CHARGED_S = 0.2, 0.3, 3.0
 #: of these what lets one axis see the other
 _CROSSED = ("mixed", "late")
 _STEP = 1e-4
@@ -79,18 +83,12 @@ def _motion(s: Signals, d: Linear) -> ComplexArray:
     return s.once("motion", d, lambda: np.asarray(s.pick - s.drive @ d.E.T))
 
 
-def _only(x: ComplexArray, axis: int) -> ComplexArray:
-    out = np.zeros_like(x)
-    out[:, axis] = x[:, axis]
-    return out
-
-
 def _swapped(x: ComplexArray) -> ComplexArray:
     return np.asarray(x[:, ::-1])
 
 
 def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
-    return [Part(f"{letter}_{name}", kind, _only(x, axis)) for axis, name in enumerate("xy")]
+    return [Part(f"{letter}_{name}", kind, one_axis(x, axis)) for axis, name in enumerate("xy")]
 
 
 def _velocity(s: Signals, d: Linear) -> ComplexArray:
@@ -106,6 +104,11 @@ def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
         Part(f"{letter}_s", "flow", factor * _swapped(x)),
         Part(SKEW, "flow", factor * turned(x)),
     ]
+
+
+def _beside(name: str, kind: Kind, x: ComplexArray) -> Part:
+    """What may come with an effect, as large as ``x`` for one unit of it, to either side."""
+    return Part(f"{SKEW}_{name}", kind, x / UNEQUAL)
 
 
 def _lag(s: Signals, x: ComplexArray) -> ComplexArray:
@@ -143,36 +146,6 @@ def _campaign_times(signals: list[Signals]) -> list[Setting]:
     return [{"tau": float(tau)} for tau in span * np.array([0.05, 0.15, 0.4, 1.0])]
 
 
-def _modes(signals: list[Signals]) -> list[Setting]:
-    distances = np.array([1.0, 2.0, 4.0, 8.0, 14.0, 18.0, 22.0, 30.0, 45.0, 56.0, 64.0, 90.0, 150.0])
-    return [{"separation_hz": float(f), "half_width_hz": w} for f in (*-distances, *distances) for w in (0.5, 3.0)]
-
-
-def _mode(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Resonances of their own, which follow the temperature as the gyro's does; an open drive has held them in their steady state."""
-    pole = 2.0 * np.pi * complex(-setting["half_width_hz"], setting["separation_hz"])
-    behind = s.omega_rad_s - s.omega0_rad_s - d.moved(s).imag
-    if s.recording.command.mode == "loops_off":
-        answers = s.drive / (1j * behind - pole)[:, None]
-    else:
-        # in the frame that the resonance turns with, where the pole stands still
-        turn = np.exp(1j * np.cumsum(behind) * s.row_s)[:, None]
-        answers = _driven(s.drive * turn, pole, s.row_s) / turn
-    # a displacement is a quarter of a cycle behind a force that meets its resonance
-    of_drive = {b: -1j * np.stack([answers[:, k]] * 2, axis=1) for k, b in enumerate("xy")}
-    return [Part(f"gain_{a}{b}", "output", _only(answer, k)) for k, a in enumerate("xy") for b, answer in of_drive.items()]
-
-
-def _driven(force: ComplexArray, pole: complex, row_s: float) -> ComplexArray:
-    """q of ``q' = pole q + force``, the force straight between its rows, begun at the steady state."""
-    z = pole * row_s
-    grown = np.exp(z)
-    first, second = (grown - 1.0) / z, (grown - 1.0 - z) / z**2
-    start = -force[:1] / pole - row_s * second * force[:1]
-    out, _ = lfilter(row_s * np.array([second, first - second]), [1.0, -grown], force, axis=0, zi=start)
-    return np.asarray(out)
-
-
 def _temperature(s: Signals) -> ComplexArray:
     return s.temperature_k[:, None].astype(np.complex128)
 
@@ -198,14 +171,14 @@ def behind(s: Signals, tau_s: float) -> ComplexArray:
 
 def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     late = behind(s, setting["tau"])
-    return [read_at_once(f"g_{n}", s, d, lambda v, k=k: _only(late * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+    return [read_at_once(f"g_{n}", s, d, lambda v, k=k: one_axis(late * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
 
 
 def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
     p = _motion(s, d)
     # what it does to the mean frequency is not told from a resonance that drifts: the two anisotropies alone name it
-    return _anisotropy("k", rise * p, 1j)
+    return [*_anisotropy("k", rise * p, 1j), _beside("gain", "drive", _CHARGED_S * rise * s.drive)]
 
 
 def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], list[Part]]:
@@ -214,7 +187,7 @@ def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], l
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         closed = setting.get("open", 0.0) if s.recording.command.mode == "loops_off" else 1.0
         one = np.full((len(s.time_s), 2), closed, dtype=complex)
-        return [Part(f"{letter}_{n}{q}", kind, f * _only(one, a)) for a, n in enumerate("xy") for q, f in (("c", 1.0), ("s", 1j))]
+        return [Part(f"{letter}_{n}{q}", kind, f * one_axis(one, a)) for a, n in enumerate("xy") for q, f in (("c", 1.0), ("s", 1j))]
 
     return parts
 
@@ -303,8 +276,8 @@ def _delayed(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """A carrier that is late: its envelope is, and its phase follows the reference away from the nominal frequency."""
     away = -1j * (s.omega_rad_s - s.omega0_rad_s)[:, None]
     late = _lag(s, s.pick)
-    turned = [read_at_once(f"tau_{n}", s, d, lambda v, k=k: _only(away * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
-    return [*turned, *(Part(f"tau_{n}", "output", _only(late, k)) for k, n in enumerate("xy"))]
+    turned = [read_at_once(f"tau_{n}", s, d, lambda v, k=k: one_axis(away * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+    return [*turned, *(Part(f"tau_{n}", "output", one_axis(late, k)) for k, n in enumerate("xy"))]
 
 
 def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -312,14 +285,29 @@ def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _softened(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier."""
+    """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier.
+
+    Volts that are held for a sample meet a motion that goes on: the drive in the square, or the motion, is half a sample late or is not,
+    as a device has it.
+    """
     p = _motion(s, d)
-    return _by_axis("flow", "k", 1j * (2.0 * np.abs(s.drive) ** 2 * p + s.drive**2 * p.conj()))
+    direct, pumped = 2.0 * np.abs(s.drive) ** 2 * p, s.drive**2 * p.conj()
+    late = {"held": -2.0 * pumped, "met": direct - pumped}
+    phases = [_beside(f"{of}_{n}", "flow", _HELD_RAD * one_axis(x, k)) for of, x in late.items() for k, n in enumerate("xy")]
+    return [*_by_axis("flow", "k", 1j * (direct + pumped)), *phases]
+
+
+def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """What a shell that is not warm throughout does: it splits the frequency, and damps unequally as well."""
+    late = behind(s, setting["tau"])
+    damped = _DAMPED * late * _velocity(s, d)
+    unequal = [_beside("damped_c", "flow", damped * np.array([1.0, -1.0])), _beside("damped_s", "flow", _swapped(damped))]
+    return [*_anisotropy("k", late * _motion(s, d), 1j), *unequal]
 
 
 def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray]) -> Form:
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-        return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: _only(f(s, v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+        return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: one_axis(f(s, v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
 
     return Form(parts)
 
@@ -338,7 +326,7 @@ FORMS: dict[str, Form] = {
     "nonlinear_damping": _cubic("c", -1.0, "nonlinear_damping_axes"),
     "quadratic_damping": _flow("c", _quadratic, -1.0),
     "coulomb_friction": Form(_friction, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "coulomb_friction_axes"),
-    "spurious_mode": Form(_mode, _modes),
+    "spurious_mode": Form(mode_parts, modes),
     "relaxation": Form(
         lambda s, d, g: [Part("c", "flow", 1j * (remembered(s, lambda of: _motion(of, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
     ),
@@ -364,7 +352,7 @@ FORMS: dict[str, Form] = {
     "pickoff_delay": Form(_delayed),
     "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", remembered(s, lambda of: of.pick, g["tau"]))], _times(0.05, 5.0, 5)),
     "pickoff_interference": Form(_constant("output", "v"), _with_or_without_open_drive),
-    "channel_skew": Form(lambda s, d, g: [Part("tau", "output", _only(_lag(s, s.pick), 1))]),
+    "channel_skew": Form(lambda s, d, g: [Part("tau", "output", one_axis(_lag(s, s.pick), 1))]),
     # environment
     "thermal_damping": _damping("c", _warm),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
@@ -376,7 +364,8 @@ FORMS: dict[str, Form] = {
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
     "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * _velocity(s, d))], _WARM_UP),
-    "thermal_split_lag": Form(lambda s, d, g: _anisotropy("k", behind(s, g["tau"]) * _motion(s, d), 1j), _WARM_UP),
+    "thermal_damping_anisotropy_lag": Form(lambda s, d, g: _anisotropy("c", behind(s, g["tau"]) * _velocity(s, d), -1.0), _WARM_UP),
+    "thermal_split_lag": Form(_gradient, _WARM_UP),
     "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", behind(s, g["tau"]) * s.drive), _WARM_UP),
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
     "thermal_feedthrough": _scaled_drive("output", "e", _warm, 1.0),

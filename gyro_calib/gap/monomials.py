@@ -121,6 +121,20 @@ def _of_motion(s: Signals) -> ComplexArray:
     return (size_of(s.pick) ** 2).astype(np.complex128)
 
 
+def _own(tau_s: float) -> list[Monomial]:
+    """By the power of each axis' own drive, or how far it is ahead through a low-pass."""
+    return _on_each(lambda s, x: ((remembered(s, _of_each, tau_s) - _of_each(s)).real if tau_s else np.abs(s.drive) ** 2) * x)
+
+
+def _of_each(s: Signals) -> ComplexArray:
+    """Power of each axis' drive [V^2], shape (n, 2)."""
+    return (np.abs(s.drive) ** 2).astype(np.complex128)
+
+
+def _turning(s: Signals) -> ComplexArray:
+    return s.rate_rad_s[:, None].astype(np.complex128)
+
+
 def _rising(s: Signals) -> FloatArray:
     return np.asarray(np.gradient(s.temperature_k, s.row_s)[:, None])
 
@@ -147,6 +161,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|x| x, as a split", "amplitude"): _split(lambda s: size_of(s.pick)),
     ("|x|^2 x, as a split", "amplitude"): _split(lambda s: size_of(s.pick) ** 2),
     ("x/|x|, as a split", "amplitude"): _split(lambda s: 1.0 / (size_of(s.pick) + 1e-9)),
+    ("|x of 3 s|^2 x", "amplitude"): [lambda s, x: size_of(s.pick) ** 2 * x, lambda s, x: _warmed(s, 3.0, _of_motion) * x],
     ("|x of 15 s|^2 x", "amplitude"): [lambda s, x: size_of(s.pick) ** 2 * x, lambda s, x: _warmed(s, 15.0, _of_motion) * x],
     ("|x|^2 x, crossed", "amplitude"): _crossed(lambda s: size_of(s.pick) ** 2),
     ("|x|^3 x", "amplitude"): [lambda s, x: size_of(x) ** 3 * x],
@@ -164,6 +179,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("Omega x, crossed", "rate"): _crossed(lambda s: s.rate_rad_s[:, None]),
     ("Omega^2 x", "rate"): [_by(lambda s: s.rate_rad_s**2)],
     ("Omega^2 x, crossed", "rate"): _crossed(lambda s: (s.rate_rad_s**2)[:, None]),
+    ("Omega of 1 s before x, turned", "rate"): [lambda s, x: (remembered(s, _turning, 1.0) - _turning(s)) * turned(x)],
     ("dx/dt", "speed of change"): [lambda s, x: np.gradient(x, s.row_s, axis=0)],
     ("d^2x/dt^2", "speed of change"): [lambda s, x: np.gradient(np.gradient(x, s.row_s, axis=0), s.row_s, axis=0)],
     ("x of 0.1 s before", "speed of change"): [lambda s, x: _late(s, x, 0.1)],
@@ -173,6 +189,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("a constant, also in open drive", "reference"): [lambda s, x, c=c: c(x) for c in _CONSTANTS],  # type: ignore[misc]
     ("|u|^2 x, u the drives", "drive"): [lambda s, x: size_of(s.drive) ** 2 * x],
     ("|u|^2 x, u the drives, crossed", "drive"): _crossed(lambda s: size_of(s.drive) ** 2),
+    ("|u_j of 0.7 s|^2 x_j, u the drives", "drive's power"): [*_own(0.0), *_own(0.7)],
     **_shaped("|u of 3 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 3.0, _of_drives)),
     **_shaped("|u of 15 s|^2 x, u the drives", "drive's power", lambda s: size_of(s.drive) ** 2, lambda s: _warmed(s, 15.0, _of_drives)),
     ("|u_j|^2 x_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * x),

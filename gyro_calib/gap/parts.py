@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .followed import Followed
 from .signals import Signals
 
-__all__ = ["REST", "SKEW", "SPLIT", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "read_at_once", "turned"]
+__all__ = ["REST", "SKEW", "SPLIT", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "one_axis", "read_at_once", "turned"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -108,6 +108,13 @@ class Form:
     parts: Callable[[Signals, Linear, Setting], list[Part]]
     settings: Callable[[list[Signals]], list[Setting]] = lambda signals: [{}]
     per_axis: str | None = None
+
+
+def one_axis(x: ComplexArray, axis: int) -> ComplexArray:
+    """x of one axis, nothing on the other."""
+    out = np.zeros_like(x)
+    out[:, axis] = x[:, axis]
+    return out
 
 
 def turned(x: ComplexArray) -> ComplexArray:

@@ -50,15 +50,20 @@ _BETTER = 12.0
 #: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 13 in 24 healthy campaigns, 18 in another
 _COURSE_MARGIN = 10.0
 
-#: properties and their changes with time and temperature that the registry knows: a device has one of them or two, not three; and what
-#: lags behind the temperature, for if three properties do one thing makes them
+#: properties and their changes with time and temperature that the registry knows: a device has one of them or two, not three; what bends
+#: and delays a drive (a stage that warms itself does both); and what lags behind the temperature, for if three properties do one thing
+#: makes them
 CHANGES = (
     {"split_drift", "charge_accumulation", "thermal_split", "thermal_split_lag"},
     {"damping_drift", "thermal_damping", "thermal_damping_lag"},
     {"frequency_ageing", "thermal_frequency_curvature", "thermal_lag"},
     {"drive_gain_drift", "thermal_drive_gain", "thermal_drive_gain_lag"},
     {"pickoff_gain_drift", "thermal_pickoff_gain", "thermal_pickoff_gain_lag"},
-    {"thermal_lag", "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag"},
+    {"drive_nonlinearity", "drive_sag", "drive_saturation", "drive_dead_zone", "drive_memory", "pickoff_memory"},
+    {
+        *("thermal_lag", "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag"),
+        *("thermal_drive_gain_lag", "thermal_pickoff_gain_lag"),
+    },
 )
 _TOO_MANY = 3
 
