@@ -11,10 +11,11 @@ from table_samples import looked_at, loudest, on_a_table
 
 from gyro_calib.gap import rate_table
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.rate_table import said_late, shifted
+from gyro_calib.gap.rate_table import gain_as_read, said_late, shifted
 from gyro_calib.gap.select import select_effects
 from gyro_calib.recording.applied_rate import applied_rate, is_turned
 from gyro_calib.recording.recording import Recording
+from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -98,3 +99,23 @@ def test_a_servo_that_takes_its_steps_early_or_late_is_no_gain_of_the_rate(monke
     assert select_effects(model).effects == ()
     monkeypatch.setattr(rate_table, "_SERVO_S", 0.0)
     assert looked_at(spoilt).screener.chi2 > model.screener.chi2 + 25.0
+
+
+@pytest.mark.parametrize(("mismatch", "mixed", "rotated"), [(0.06, 0.05, 0.05), (-0.05, -0.035, 0.044), (0.0, 0.0, 0.03), (0.3, 0.1, -0.2)])
+def test_pickoffs_askew_read_another_angular_gain(mismatch: float, mixed: float, rotated: float) -> None:
+    """What a table shows of them in the symmetric part of P J P^-1 says how much its antisymmetric part is more than one."""
+    pick = np.array([[1.0, mixed - rotated], [mixed + rotated, 1.0 + mismatch]])
+    response = 0.57 * pick @ np.array([[0.0, 1.0], [-1.0, 0.0]]) @ np.linalg.inv(pick)
+    values = {"rate_mismatch_re": 0.5 * (response[0, 1] + response[1, 0]), "rate_skew_re": 0.5 * (response[0, 0] - response[1, 1])}
+    assert gain_as_read(0.57, values) == pytest.approx(0.5 * (response[0, 1] - response[1, 0]), rel=1e-12)
+    assert gain_as_read(0.57, {}) == 0.57
+
+
+def test_a_wave_that_grows_as_the_rule_of_a_plant_has_it_is_healthy() -> None:
+    """The forward rule on a Coriolis force lets it grow by ``Omega^2`` times a step."""
+    healthy = looked_at(on_a_table())
+    (kicked,) = (c for c in healthy.nuisances if c.name == "rate_kicked")
+    assert kicked.prior_sd == pytest.approx(2e-5)
+    growing = with_columns(healthy, [(kicked, 1.5 * kicked.prior_sd)])
+    assert not select_effects(growing).effects
+    assert select_effects(growing).stranger is None

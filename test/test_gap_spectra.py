@@ -19,7 +19,7 @@ from gyro_calib.gap.spectra import pick_spectra
 from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
 from gyro_calib.gap.tones import find_tone
 from gyro_calib.recording.columns import COLUMNS
-from gyro_calib.recording.command import Command, Setpoints
+from gyro_calib.recording.command import Command, Excitation, Setpoints
 from gyro_calib.recording.recording import Recording
 
 ROWS_HZ, NOISE_V = 500.0, 2e-6
@@ -127,6 +127,20 @@ def test_a_tone_that_no_record_shows_by_itself_stands_in_all_of_them() -> None:
 def test_an_image_of_the_carrier_by_a_converter_is_no_tone() -> None:
     carrier = 14990.0
     assert find_tone(pick_spectra(records(np.random.default_rng(3), carrier_hz=(carrier,), tone=(30000.0 - carrier, 1e-5))), LINEAR) is None
+
+
+def test_the_mirror_of_a_side_band_is_no_tone() -> None:
+    """What is modulated shows in the image of a converter, and the carrier that stands does not: 1.5 Hz beside where that would be."""
+    carriers = (7249.46, 7249.50)
+    line = 14400.0 - carriers[0] + 1.5
+    plain = records(np.random.default_rng(3), carrier_hz=carriers, tone=(line, 1e-5))
+    tone = find_tone(pick_spectra(plain), LINEAR)
+    assert tone is not None
+    assert tone.frequency_hz == pytest.approx(line, abs=0.15)
+    excited = [
+        replace(r, command=replace(r.command, excitation=Excitation("amplitude_modulation", frequency_hz=1.5, index=0.1))) for r in plain
+    ]
+    assert find_tone(pick_spectra(excited), LINEAR) is None
 
 
 def test_an_image_of_another_temperature_is_no_witness() -> None:

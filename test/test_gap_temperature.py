@@ -91,6 +91,25 @@ def test_a_sensor_that_is_read_once_a_second_makes_no_steps(follows: bool, most_
     assert np.abs(smooth_temperature(held) - true)[60:-60].max() < most_k
 
 
+def test_a_reference_that_follows_a_split_as_the_wave_turns_is_no_temperature() -> None:
+    """Read once a second a wave of 4 s that a split makes would be left in the temperature by a quarter."""
+    recording, true = ramp(follows=True, noise_k=0.0)
+    t = recording.t - recording.t[0]
+    psi = 0.5 * np.pi * t / 2.0
+    data = recording.data.copy()
+    for name, x in (("x_pick_c", np.cos(psi)), ("y_pick_c", np.sin(psi))):
+        data[:, column_index(name)] = x
+    data[:, column_index("ref_freq")] += 0.05 * np.cos(2.0 * psi + 0.4)
+    read = np.concatenate([[0], np.arange(40, len(true), 100)])
+    data[:, column_index("temperature")] = true[read[np.searchsorted(read, np.arange(len(true)), side="right") - 1]]
+    turning = replace(recording, data=data, command=replace(recording.command, mode="whole_angle"))
+    fixed = replace(turning, command=recording.command)
+    missed, left = (np.abs(smooth_temperature(r) - true)[60:-60] for r in (fixed, turning))
+    assert missed.max() > 0.03
+    assert left.max() < 0.02
+    assert np.median(left) < 0.1 * np.median(missed)
+
+
 def test_a_sensor_that_is_late_is_said_and_a_resonator_that_is_later_is_not() -> None:
     (told,) = said_sensor_late(sensor_late_s({"thermal_lag.tau": -0.63}))
     assert told.startswith("The thermometer is 0.63 s later")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasu
 from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
-from .rate_table import in_time, rate_columns, steps_of
+from .rate_table import gain_as_read, in_time, rate_columns, steps_of
 from .saturated import columns_of_time, counting, effect_columns, open_drive, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
@@ -166,6 +166,8 @@ def look_at(
     # what feeds through does not resonate: once E is known the frequency's column is right
     linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
     linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
+    angular_gain = gain_as_read(angular_gain, values)
+    linear = replace(linear, angular_gain=angular_gain)
     evidence, linear, values, late_s = _in_time(evidence, linear, values, angular_gain, most)
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so

@@ -35,6 +35,8 @@ _SKIRT_POWER = 4.0
 #: rates of converters are multiples of this [Hz]; harmonics of the carrier whose images are known; how near is the same [Hz], and [bins],
 #: of which the window's main lobe has four
 RATES_HZ, _IMAGED, _SAME_HZ, _SKIRT_BINS = 100.0, 5, 0.15, 5.0
+#: side bands of the carrier whose mirrors are known, in frequencies of its modulation or of its turning
+_MIRRORED = 2
 #: share of the rows' rate within which the rows' own filter leaves a line
 _PASSED = 0.45
 
@@ -54,6 +56,8 @@ class PickSpectrum:
         What is nearer to the carrier belongs to the signal.
     carrier_hz : float
         Mean frequency of the reference.
+    busy_hz : float
+        Of the side band, or of the turning of the wave.
     """
 
     recording: Recording
@@ -61,6 +65,7 @@ class PickSpectrum:
     ratio: FloatArray
     clear_hz: float
     carrier_hz: float
+    busy_hz: float = 0.0
 
     @property
     def bin_hz(self) -> float:
@@ -75,17 +80,23 @@ class PickSpectrum:
     def hears(self, away_hz: FloatArray) -> NDArray[np.bool_]:
         """Whether a line there would be seen: beyond what belongs to the signal, within the rows' rate, and no image."""
         within = (np.abs(away_hz) > self.clear_hz) & (np.abs(away_hz) < _PASSED * self.recording.sample_rate_hz)
-        return np.asarray(within & ~is_image(away_hz, self.carrier_hz, self.bin_hz))
+        return np.asarray(within & ~is_image(away_hz, self.carrier_hz, self.bin_hz, self.busy_hz))
 
 
-def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float) -> NDArray[np.bool_]:
-    """Whether lines at these distances are a harmonic of the carrier folded at a converter's rate, or stand on the skirt of one."""
+def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float, busy_hz: float = 0.0) -> NDArray[np.bool_]:
+    """Whether lines at these distances are a harmonic of the carrier folded at a converter's rate, or stand on the skirt of one.
+
+    Of its mirror, the image of the conjugate, what is modulated or turns shows more than what stands (`images.py`): side bands without a
+    carrier, 1.5 Hz from where that would be.
+    """
     near = max(_SAME_HZ, _SKIRT_BINS * bin_hz)
     found = np.zeros(away_hz.shape, dtype=bool)
     for k in range(-_IMAGED, _IMAGED + 1):
         if k != 1:
-            places = (away_hz + (1.0 - k) * carrier_hz) / RATES_HZ
-            found |= np.abs(places - np.rint(places)) * RATES_HZ < near
+            beside = range(-_MIRRORED, _MIRRORED + 1) if k == -1 and busy_hz > 0.0 else (0,)
+            for n in beside:
+                places = (away_hz + (1.0 - k) * carrier_hz + n * busy_hz) / RATES_HZ
+                found |= np.abs(places - np.rint(places)) * RATES_HZ < near
     return found
 
 
@@ -124,7 +135,7 @@ def _spectrum(r: Recording) -> PickSpectrum:
     clear = max(_LEAST_BINS / r.duration_s, _HARMONICS * busy)
     ratio = power / floor
     beyond = _beyond_skirt(ratio.max(axis=1), clear, 1.0 / r.duration_s)
-    return PickSpectrum(r, frequency, ratio, beyond, float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi))
+    return PickSpectrum(r, frequency, ratio, beyond, float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi), busy)
 
 
 def _beyond_skirt(ratio: FloatArray, clear_hz: float, bin_hz: float) -> float:

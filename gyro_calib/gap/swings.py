@@ -218,5 +218,6 @@ def _hears(flow: FlowLeft, f: FloatArray, least_bins: float) -> NDArray[np.bool_
     heard = (f > max(least_bins * bin_hz, _HARMONICS * flow.turning_hz)) & (f < _HIGHEST_HZ)
     if flow.excited_hz > 0.0:
         heard &= np.abs(f - flow.excited_hz * np.round(f / flow.excited_hz)) > _SKIRT_BINS * bin_hz
-    images = is_image(f, flow.carrier_hz, bin_hz) | is_image(-f, flow.carrier_hz, bin_hz)
+    busy_hz = max(flow.excited_hz, flow.turning_hz)
+    images = is_image(f, flow.carrier_hz, bin_hz, busy_hz) | is_image(-f, flow.carrier_hz, bin_hz, busy_hz)
     return np.asarray(heard & ~images)
