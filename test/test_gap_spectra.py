@@ -15,7 +15,7 @@ from gyro_calib.gap.noise_growth import noise_growth
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import Selection
-from gyro_calib.gap.spectra import pick_spectra
+from gyro_calib.gap.spectra import is_image, pick_spectra
 from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
 from gyro_calib.gap.tones import find_tone
 from gyro_calib.recording.columns import COLUMNS
@@ -141,6 +141,14 @@ def test_the_mirror_of_a_side_band_is_no_tone() -> None:
         replace(r, command=replace(r.command, excitation=Excitation("amplitude_modulation", frequency_hz=1.5, index=0.1))) for r in plain
     ]
     assert find_tone(pick_spectra(excited), LINEAR) is None
+
+
+def test_a_mirror_is_folded_at_the_rows_rate_as_well() -> None:
+    """Two carriers to 10 kHz and a side band, 71.4 Hz below: 53.6 Hz above it in 125 rows a second."""
+    line = np.array([53.583])
+    assert is_image(line, 5034.955, 1.0 / 12.0, 1.5, 125.0).all()
+    assert not is_image(line, 5034.955, 1.0 / 12.0, 1.5, 500.0).any()
+    assert not is_image(line, 5034.955, 1.0 / 12.0, 0.0, 125.0).any()
 
 
 def test_an_image_of_another_temperature_is_no_witness() -> None:

@@ -80,23 +80,25 @@ class PickSpectrum:
     def hears(self, away_hz: FloatArray) -> NDArray[np.bool_]:
         """Whether a line there would be seen: beyond what belongs to the signal, within the rows' rate, and no image."""
         within = (np.abs(away_hz) > self.clear_hz) & (np.abs(away_hz) < _PASSED * self.recording.sample_rate_hz)
-        return np.asarray(within & ~is_image(away_hz, self.carrier_hz, self.bin_hz, self.busy_hz))
+        return np.asarray(within & ~is_image(away_hz, self.carrier_hz, self.bin_hz, self.busy_hz, self.recording.sample_rate_hz))
 
 
-def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float, busy_hz: float = 0.0) -> NDArray[np.bool_]:
+def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float, busy_hz: float = 0.0, row_hz: float = RATES_HZ) -> NDArray[np.bool_]:
     """Whether lines at these distances are a harmonic of the carrier folded at a converter's rate, or stand on the skirt of one.
 
     Of its mirror, the image of the conjugate, what is modulated or turns shows more than what stands (`images.py`): side bands without a
-    carrier, 1.5 Hz from where that would be.
+    carrier, 1.5 Hz from where that would be, and folded at the rows' rate again.
     """
     near = max(_SAME_HZ, _SKIRT_BINS * bin_hz)
     found = np.zeros(away_hz.shape, dtype=bool)
+    folded_hz = math.gcd(round(RATES_HZ), round(row_hz)) if row_hz == round(row_hz) else RATES_HZ
     for k in range(-_IMAGED, _IMAGED + 1):
         if k != 1:
-            beside = range(-_MIRRORED, _MIRRORED + 1) if k == -1 and busy_hz > 0.0 else (0,)
-            for n in beside:
-                places = (away_hz + (1.0 - k) * carrier_hz + n * busy_hz) / RATES_HZ
-                found |= np.abs(places - np.rint(places)) * RATES_HZ < near
+            mirrored = k == -1 and busy_hz > 0.0
+            for n in range(-_MIRRORED, _MIRRORED + 1) if mirrored else (0,):
+                rate_hz = folded_hz if mirrored and n else RATES_HZ
+                places = (away_hz + (1.0 - k) * carrier_hz + n * busy_hz) / rate_hz
+                found |= np.abs(places - np.rint(places)) * rate_hz < near
     return found
 
 

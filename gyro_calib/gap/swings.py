@@ -219,5 +219,5 @@ def _hears(flow: FlowLeft, f: FloatArray, least_bins: float) -> NDArray[np.bool_
     if flow.excited_hz > 0.0:
         heard &= np.abs(f - flow.excited_hz * np.round(f / flow.excited_hz)) > _SKIRT_BINS * bin_hz
     busy_hz = max(flow.excited_hz, flow.turning_hz)
-    images = is_image(f, flow.carrier_hz, bin_hz, busy_hz) | is_image(-f, flow.carrier_hz, bin_hz, busy_hz)
+    images = np.any([is_image(side * f, flow.carrier_hz, bin_hz, busy_hz, 1.0 / flow.row_s) for side in (1.0, -1.0)], axis=0)
     return np.asarray(heard & ~images)
