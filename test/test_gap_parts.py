@@ -143,3 +143,14 @@ def test_what_is_charged_drives_otherwise_as_well() -> None:
     rise = 1.0 - np.exp(-signals.time_s / 0.7)
     assert parts[f"{SKEW}_gain"].kind == "drive"
     np.testing.assert_allclose(parts[f"{SKEW}_gain"].signal, 3.0 / UNEQUAL * rise[:, None] * signals.drive)
+
+
+def test_what_feeds_through_by_warmth_has_a_phase_and_goes_across() -> None:
+    signals, linear = moving(0.0)
+    signals.__dict__["temperature_k"] = 0.5 * signals.time_s
+    parts = {p.parameter: p.signal for p in FORMS["thermal_feedthrough"].parts(signals, linear, {})}
+    fed = signals.temperature_k[:, None] * signals.drive
+    np.testing.assert_allclose(parts["e_x"] + parts["e_y"], fed)
+    np.testing.assert_allclose(UNEQUAL * (parts[f"{SKEW}_late_x"] + parts[f"{SKEW}_late_y"]), 1j * fed)
+    np.testing.assert_allclose(UNEQUAL * (parts[f"{SKEW}_across_xc"] + parts[f"{SKEW}_across_yc"]), 0.3 * fed[:, ::-1])
+    np.testing.assert_allclose(parts[f"{SKEW}_across_xs"], 1j * parts[f"{SKEW}_across_xc"])

@@ -32,8 +32,8 @@ _UNLIKE: dict[str, ComplexArray] = {
 }
 #: what may come with an effect, over it: phase between the drives' volts and the motion that they meet, of converters that hold them
 #: [rad]; damping that a gradient of temperature makes unequal, over the split that it makes; gain of the drives, which goes as the charged
-#: bias, over the half split [s/rad]
-_HELD_RAD, _DAMPED, _CHARGED_S = 0.2, 0.3, 3.0
+#: bias, over the half split [s/rad]; what feeds through to the other axis, over what does to its own
+_HELD_RAD, _DAMPED, _CHARGED_S, _ACROSS = 0.2, 0.3, 3.0, 0.3
 #: of these what lets one axis see the other
 _CROSSED = ("mixed", "late")
 _STEP = 1e-4
@@ -305,6 +305,18 @@ def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return [*_anisotropy("k", late * _motion(s, d), 1j), *unequal]
 
 
+def _fed_by_warmth(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """Of the axis' own drive in phase; as much in quadrature, and a third of it across, may come with that."""
+    fed = _warm(s)[:, None] * s.drive
+    late = [_beside(f"late_{n}", "output", 1j * one_axis(fed, k)) for k, n in enumerate("xy")]
+    across = [
+        _beside(f"across_{n}{q}", "output", _ACROSS * f * one_axis(_swapped(fed), k))
+        for k, n in enumerate("xy")
+        for q, f in (("c", 1.0), ("s", 1j))
+    ]
+    return [*_by_axis("output", "e", fed), *late, *across]
+
+
 def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray]) -> Form:
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: one_axis(f(s, v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
@@ -368,7 +380,7 @@ FORMS: dict[str, Form] = {
     "thermal_split_lag": Form(_gradient, _WARM_UP),
     "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", behind(s, g["tau"]) * s.drive), _WARM_UP),
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
-    "thermal_feedthrough": _scaled_drive("output", "e", _warm, 1.0),
+    "thermal_feedthrough": Form(_fed_by_warmth),
     "frequency_ageing": _stiffness("k", _late),
     "damping_drift": _damping("c", _late),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * _motion(s, d), 1j)),
