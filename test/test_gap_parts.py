@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from gyro_calib.gap.forms import FORMS, cube
+from gyro_calib.gap.forms import FORMS, behind, cube
 from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once
 from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.recording.columns import COLUMNS
@@ -129,7 +129,8 @@ def test_a_gradient_of_temperature_damps_unequally_as_well() -> None:
     signals.__dict__["temperature_k"] = 0.5 * signals.time_s
     setting = {"tau": 0.4}
     split = {p.parameter: p.signal for p in FORMS["thermal_split_lag"].parts(signals, linear, setting)}
-    damped = {p.parameter: p.signal for p in FORMS["thermal_damping_anisotropy_lag"].parts(signals, linear, setting)}
+    signals.__dict__["temperature_k"] = behind(signals, 0.4).real[:, 0]
+    damped = {p.parameter: p.signal for p in FORMS["thermal_damping_anisotropy"].parts(signals, linear, {})}
     for which in ("c", "s"):
         beside, alone = split[f"{SKEW}_damped_{which}"], damped[f"c_{which}"]
         np.testing.assert_allclose(beside, -0.3 / UNEQUAL * alone)

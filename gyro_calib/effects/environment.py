@@ -86,13 +86,6 @@ THERMAL = (
         ("thermal_damping", "damping_drift"),
     ),
     Effect(
-        "thermal_damping_anisotropy_lag", "Damping anisotropy of a device that is not warm throughout", "environment", (30,),
-        (*pair("c_c c_s", "1/s/K", 5e-4, 1.0, "half the spread of decay rates per kelvin of the lag, by axis (c) and across (s)"), _LAG),
-        ("temperature", "time"), BOTH,
-        f"p' += -{_BEHIND} (c_c diag(1, -1) + c_s [[0, 1], [1, 0]]) p",
-        ("thermal_damping_anisotropy", "thermal_damping_lag", "thermal_split_lag"),
-    ),
-    Effect(
         "thermal_split_lag", "Frequency split of a device that is not warm throughout", "environment", (30,),
         (*pair("k_c k_s", "rad/s/K", 0.003, 1.0, "half the split per kelvin of the lag, by axis (c) and across (s)"), _LAG),
         ("temperature", "time"), BOTH,

@@ -60,10 +60,7 @@ CHANGES = (
     {"drive_gain_drift", "thermal_drive_gain", "thermal_drive_gain_lag"},
     {"pickoff_gain_drift", "thermal_pickoff_gain", "thermal_pickoff_gain_lag"},
     {"drive_nonlinearity", "drive_sag", "drive_saturation", "drive_dead_zone", "drive_memory", "pickoff_memory"},
-    {
-        *("thermal_lag", "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag"),
-        *("thermal_drive_gain_lag", "thermal_pickoff_gain_lag"),
-    },
+    {"thermal_lag", "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag"},
 )
 _TOO_MANY = 3
 
