@@ -17,7 +17,9 @@ from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap.diagnose import diagnose
 from gyro_calib.gap.odd_one_out import check_alike
-from gyro_calib.gap.preflight import check_campaign
+from gyro_calib.gap.one_axis import holding_gain
+from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.preflight import check_campaign, check_linear, usable
 from gyro_calib.recording import Campaign, Recording
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.hdf5 import write_campaign_h5
@@ -301,3 +303,16 @@ def test_recordings_that_are_not_used_are_named(campaign):
         w.startswith("Not used, for they hold fewer than 200 rows: ") and "static_x_0 (150)" in w and "locate (150)" in w
         for w in check_campaign(replace(campaign, recordings=short))
     )
+
+
+def test_a_drive_that_little_is_told_of_has_no_sign(campaign) -> None:
+    """Eight recordings, one of them on y: its drive's gain came out as a tenth of what holds a wave, in any phase."""
+    recordings = usable(campaign)
+    held = holding_gain(recordings, 1.5)
+
+    def device(of_y: complex) -> Linear:
+        return Linear(-1.5 * np.eye(2) + 0j, np.diag([-1j * held, of_y * held]), np.zeros((2, 2), complex), 0.8, 0.0)
+
+    check_linear(device(0.1j), {}, recordings, 1.5)
+    with pytest.raises(DataError, match="A positive y drive must push y"):
+        check_linear(device(1j), {}, recordings, 1.5)

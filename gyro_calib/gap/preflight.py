@@ -185,14 +185,15 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
     """
     G, A = linear.G, linear.A
     straight, crossed = np.abs(np.diag(G)), np.abs([G[0, 1], G[1, 0]])
-    # two steady recordings leave both at nothing
-    if crossed.min() > max(straight.max(), _ACTS * holding_gain(recordings, decay_rate)):
+    # two steady recordings leave both at nothing, one that of its own axis
+    acts = _ACTS * holding_gain(recordings, decay_rate)
+    if crossed.min() > max(straight.max(), acts):
         raise DataError(
             f"Each drive must move its own axis, but x drive acts on y by {crossed[1]:.3g} and on x by {straight[0]:.3g} 1/s. "
             "The drive columns (or the pick-off columns) of x and y look swapped."
         )
     for k, axis in enumerate("xy"):
-        if straight[k] > 0.0 and G[k, k].imag > 0.5 * straight[k]:
+        if straight[k] > acts and G[k, k].imag > 0.5 * straight[k]:
             raise DataError(
                 f"A positive {axis} drive must push {axis} as theory.md Eq. 4 has it (G_{axis}{axis} near -i), but got {G[k, k]:.3g} 1/s: "
                 f"the sign of the {axis} drive or of the {axis} pick-off columns looks wrong (c and s swapped, or negative)."
