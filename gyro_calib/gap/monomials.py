@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .forms import AT_REST, behind, conjugate_product
 from .memory import remembered
-from .parts import turned
+from .parts import one_axis, turned
 from .signals import Signals
 
 __all__ = ["APART", "FED", "LATE", "MONOMIALS", "RISING", "Monomial", "size_of"]
@@ -26,12 +26,6 @@ def size_of(x: ComplexArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(np.abs(x) ** 2, axis=1))[:, None])
 
 
-def _axis(x: ComplexArray, axis: int) -> ComplexArray:
-    out = np.zeros_like(x)
-    out[:, axis] = x[:, axis]
-    return out
-
-
 def _of_axes(x: ComplexArray) -> FloatArray:
     """Size of the signal of each axis; of one that is crossed through rest, no less than what keeps its phase from jumping."""
     return np.asarray(np.sqrt(np.abs(x) ** 2 + (AT_REST * size_of(x)) ** 2)) + 1e-9
@@ -39,7 +33,7 @@ def _of_axes(x: ComplexArray) -> FloatArray:
 
 def _on_each(f: Monomial) -> list[Monomial]:
     """One axis of it, and the other."""
-    return [lambda s, x, k=k: _axis(f(s, x), k) for k in range(2)]  # type: ignore[misc]
+    return [lambda s, x, k=k: one_axis(f(s, x), k) for k in range(2)]  # type: ignore[misc]
 
 
 def _by(f: Callable[[Signals], FloatArray]) -> Monomial:
@@ -140,7 +134,7 @@ def _rising(s: Signals) -> FloatArray:
 
 
 #: of either axis, in step with the reference and a quarter of a cycle behind it: what is constant has no phase to grow from
-_CONSTANTS = [lambda x, k=k, f=f: _axis(np.full_like(x, f), k) for k in range(2) for f in (1.0, 1j)]
+_CONSTANTS = [lambda x, k=k, f=f: one_axis(np.full_like(x, f), k) for k in range(2) for f in (1.0, 1j)]
 #: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
 LATE, LATE_S = "(T - T of 20 s before) x", 20.0
 RISING = "dT/dt x"
