@@ -10,6 +10,7 @@ import pytest
 from table_samples import looked_at, loudest, on_a_table
 
 from gyro_calib.gap import rate_table
+from gyro_calib.gap.diagnose import diagnose
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.rate_table import gain_as_read, said_late, shifted
 from gyro_calib.gap.select import select_effects
@@ -119,3 +120,13 @@ def test_a_wave_that_grows_as_the_rule_of_a_plant_has_it_is_healthy() -> None:
     growing = with_columns(healthy, [(kicked, 1.5 * kicked.prior_sd)])
     assert not select_effects(growing).effects
     assert select_effects(growing).stranger is None
+
+
+def test_a_patched_device_keeps_the_angular_gain_of_its_resonator() -> None:
+    """Its pick-offs are askew as those that were seen: as they read it, it would be counted twice."""
+    campaign = on_a_table()
+    kappa = float(campaign.factory["angular_gain_kappa"])
+    found = diagnose(campaign)
+    assert found.estimate is not None
+    assert found.estimate.angular_gain == kappa
+    assert looked_at(campaign).linear.angular_gain > kappa

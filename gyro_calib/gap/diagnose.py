@@ -122,18 +122,19 @@ def diagnose(
         elapsed_s=time.monotonic() - begun,
         warnings=tuple(warnings),
         provenance={"registry": len(model.candidates), "left_out": list(left_out)},
-        estimate=_estimate(model, rich),
+        estimate=_estimate(model, rich, kappa),
         map_after=gap_map(model, rich) if chosen else (),
     )
 
 
-def _estimate(model: CampaignModel, rich: Solution) -> PatchedEstimate:
+def _estimate(model: CampaignModel, rich: Solution, kappa: float) -> PatchedEstimate:
+    """``kappa``: the resonator's own; that of the model is as these pick-offs read it, and a patched device has pick-offs as well."""
     values = rich.by_name()
     linear = linear_of(model.evidence, values, model.linear.angular_gain)
     evidence = model.evidence
     return PatchedEstimate(
         linear.A, linear.G, linear.E, evidence.omega0_rad_s, evidence.temperature_degc,
-        linear.frequency_slope_rad_s_k, linear.angular_gain, values,
+        linear.frequency_slope_rad_s_k, kappa, values,
     )  # fmt: skip
 
 

@@ -40,7 +40,7 @@ class Linear:
     ----------
     A, G, E : ndarray, shape (2, 2), complex
     angular_gain : float
-        kappa as the factory states it.
+        kappa of the factory, as the pick-offs read it where a table tells (`rate_table.gain_as_read`).
     frequency_slope_rad_s_k : float
         Change of the resonance with temperature.
     moved_rad_s : tuple of ndarray, complex

@@ -43,7 +43,7 @@ _SKEWED_RATE = 0.05
 _STEP_S, _MOST_STEPS = 0.1, 12
 #: share of the fastest change below which a table stands still; what a step leaves over ``dOmega / 2 w``: kappa, and a phase nobody knows
 _STILL, _OF_PHASE = 1e-6, 0.5
-#: growth of a wave by the square of the rate that it turns at [s]: of a plant whose Coriolis force is a kick once a sample, its half
+#: growth of a wave by the square of the applied rate [s], sd: of a plant whose Coriolis force is a kick once a sample kappa^2 times that
 _KICKED_S = 2e-5
 #: by how much each step of a table is early or late by itself [s]
 _SERVO_S = 1e-4
@@ -79,7 +79,7 @@ def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list
 
 
 def _kicked(evidence: CampaignEvidence) -> Column:
-    """A wave that grows as ``Omega^2``: what the forward rule makes of a Coriolis force, 1.3e-5 s of a plant of 76 500 samples a second."""
+    """A wave that grows as ``Omega^2``: what the forward rule makes of a Coriolis force, ``kappa^2 / 76 500 Hz`` of one plant."""
     signal, quiet = (
         tuple(r.turn * place.projector(r).plain([(r.signals.rate_rad_s**2)[:, None] * r.signals.pick])[:, 0] for r in evidence)
         for place in (SIGNAL, QUIET)
