@@ -33,7 +33,7 @@ test: $(VENV)/.installed
 ifeq ($(strip $(ARGS)),)
 	@export OPENBLAS_NUM_THREADS=1; status=0; \
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not ros' || status=1; \
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'ros and not slow' || \
+	$(BIN)/python -m pytest -n 3 --dist loadfile -m 'ros and not slow' || \
 	$(BIN)/python -m pytest -m 'ros and not slow' --last-failed --last-failed-no-failures none || status=1; \
 	exit $$status
 else

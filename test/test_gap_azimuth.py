@@ -74,7 +74,7 @@ def test_a_turning_wave_has_lines_of_six_and_eight_turns_and_they_are_not_quiet(
         assert min(abs(f - k * turn_hz) for f in lines.quiet) > step
 
 
-@pytest.mark.parametrize("lobes", [8, 16])
+@pytest.mark.parametrize("lobes", [8, pytest.param(16, marks=pytest.mark.slow)])
 def test_a_gain_of_many_lobes_is_found_by_its_form(lobes: int) -> None:
     """It was believed to be noise: as loud in its lines as everything else that the saturated model lacks."""
     campaign = hemisphere()

@@ -56,6 +56,7 @@ def hemisphere() -> CampaignModel:
     return looked_at(run_plan(instrument, gap_whole_angle_plan(device.factory(), quality="quick", abilities=("applied_rate",))))
 
 
+@pytest.mark.slow
 def test_every_step_has_a_phase_of_its_own() -> None:
     found = {name: value for name, value in hemisphere().base.by_name().items() if name.startswith("table_step_")}
     assert len(found) == 2 * 4 * 2

@@ -74,6 +74,7 @@ def model_of(campaign: Campaign) -> CampaignModel:
     return look_at(usable(campaign), np.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
 
 
+@pytest.mark.slow
 def test_what_grows_with_time_must_beat_a_floor_as_courses_do() -> None:
     """A reading whose gain drifts by 1e-5 is a floor's, by 3e-3 it is none; what does not go with time competes either way."""
     for drift, counts in ((1e-5, False), (3e-3, True)):
@@ -85,6 +86,7 @@ def test_what_grows_with_time_must_beat_a_floor_as_courses_do() -> None:
         assert any(worth_of(found) < 25.0 for found, term in terms if term.depends_on != "time")
 
 
+@pytest.mark.slow
 def test_what_drifts_steadily_is_no_floor_whether_it_has_a_name_or_not() -> None:
     """Drive gains that part by 1e-6 a second: without its name the size of the floors took it in, and the device was healthy."""
     drifting = campaign_of(replace(unit(), effects={"drive_gain_drift": {"g_x": 6e-7, "g_y": -6e-7}}))

@@ -58,6 +58,7 @@ def test_what_feeds_through_out_of_proportion_is_unknown(share: float, volts: ob
     assert form in verdict.unknown.form
 
 
+@pytest.mark.slow
 def test_each_axis_of_a_hemisphere_feeds_through_by_its_own_motion_and_at_its_own_phase() -> None:
     """A drive late by 0.4 rad: a stiffness by the drives and a damping of the amplitude's square explained most of it together."""
     unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_whole_angle_plan, run_plan
@@ -30,6 +31,7 @@ def model() -> CampaignModel:
     return look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
 
 
+@pytest.mark.slow
 def test_a_resonance_that_ages_leaves_no_phase_that_drifts() -> None:
     assert np.abs(model().linear.E).max() > 2e-4 * np.abs(model().linear.G).max()
     chosen = relinearised(model(), [model().candidates["frequency_ageing"][0]])

@@ -169,6 +169,7 @@ def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_
     np.testing.assert_allclose(steady.slow(lines), lines.basis()[:, 1::2] @ [2.0, 4.0] + 5.0 * lines.scale * lines.is_mean)
 
 
+@pytest.mark.slow
 def test_a_gain_follows_the_millikelvins_that_no_thermometer_reads() -> None:
     """By as much as it follows the thermometer when that is warmed: the resonance says how warm it was, on the carrier."""
     unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
@@ -246,6 +247,7 @@ def test_a_limiter_that_could_swallow_a_drive_may_take_but_a_share_of_it() -> No
     assert all(sd <= 1.0 for sd in priors.values())
 
 
+@pytest.mark.slow
 def test_what_has_no_name_is_no_noise() -> None:
     """A stiffness that follows the drives, not in the registry: its record's noise is believed to be what it is without the effect."""
     quiet = healthy("hemisphere")
@@ -267,6 +269,7 @@ def test_where_there_are_no_equations_for_all_those_are_held_that_show() -> None
     assert one not in {c.name.split(".")[0] for c in saturated_columns(model.evidence, model.linear, held, {}, 3 * many)[len(held) :]}
 
 
+@pytest.mark.slow
 def test_what_lags_behind_the_temperature_is_no_drift_of_two_recordings() -> None:
     """A split that lags, not in the registry: phases of the drives that wander by themselves were believed to be ten times as large."""
     lags = {"thermal_split_lag": {"k_c": -2e-6, "k_s": 1e-6, "tau": 9.0}}

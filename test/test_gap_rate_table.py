@@ -83,6 +83,7 @@ def test_a_log_of_many_small_steps_stays_in_order(late_s: float) -> None:
     np.testing.assert_allclose(rate[50:-50], logged[50:-50], atol=1.5e-2)
 
 
+@pytest.mark.slow
 def test_a_servo_that_takes_its_steps_early_or_late_is_no_gain_of_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     """By 0.1 ms, each step by itself; a hemisphere was said to have a gain of 1.7 % and a curvature that undoes it at the table's rate."""
     unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)

@@ -99,6 +99,7 @@ def test_a_floor_is_not_ten_times_what_it_was_measured_to_be() -> None:
     assert np.median(np.array(capped) / free) < 0.8
 
 
+@pytest.mark.slow
 def test_a_wave_that_turns_meets_what_stands_still_in_the_case() -> None:
     """1/f volts of the drives: in turned records they are at the turning line, where no repeat of a mean tells how large they are."""
     base = draw_unit(load_device("hrg_hardware"), 5)
@@ -119,6 +120,7 @@ def test_a_wave_that_turns_meets_what_stands_still_in_the_case() -> None:
     assert 1.0 < largest < 4.0
 
 
+@pytest.mark.slow
 def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of_the_moment() -> None:
     """Its share is multiplied by all of the detuning: with the slope alone chi-square was a hundred times its degrees of freedom."""
     truth = {"g_x": 2.0e-3, "g_y": -1.0e-3}
@@ -136,6 +138,7 @@ def test_a_pickoff_gain_that_follows_the_temperature_is_read_at_the_resonance_of
         assert fit.values[k] == pytest.approx(value, abs=4.0 * math.sqrt(fit.covariance[k, k]) + 0.02 * abs(value))
 
 
+@pytest.mark.slow
 def test_a_wander_that_takes_minutes_is_no_course_of_the_frequency() -> None:
     """Shifts of records alone, each by itself, leave what a trial's ring does with its millikelvins to whatever goes with time."""
     unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(1)
@@ -176,6 +179,7 @@ def floored() -> CampaignModel:
     return _look(with_quadrature_floor(campaign, _look(campaign), 1e-5))
 
 
+@pytest.mark.slow
 def test_a_floor_of_the_quadrature_is_no_charge_that_leaks() -> None:
     """Without a family of its own it was a charge of log evidence 37, and twice as large something that goes to and fro every 177 s."""
     model = floored()

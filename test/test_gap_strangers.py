@@ -62,6 +62,7 @@ def test_a_loss_that_begins_at_a_level_is_no_effect_of_the_registry() -> None:
     assert "beyond" in selection.stranger.term.form
 
 
+@pytest.mark.slow
 def test_friction_of_each_axis_that_the_registry_lacks_is_no_loss_of_the_amplitude() -> None:
     """A loss of the amplitude's square takes a third of it, with the other sign: unnamed, it is what it is."""
     unit, rng, friction = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1), "coulomb_friction_axes"
@@ -95,6 +96,7 @@ def test_friction_of_each_axis_is_found_by_an_axis_at_rest_whose_pickoffs_are_no
     assert all(abs(alone.sizes()[name][0] - size) > 10.0 * alone.sizes()[name][1] for name, size in sizes.items())
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force() -> None:
     """A split by the inverse of the amplitude: constants of drive and pick-off and another mode left but noise of it."""
     model = looked_at(on_a_table())
@@ -104,7 +106,7 @@ def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force(
     assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x/|x|, as a split")
 
 
-@pytest.mark.parametrize("form", ["|x of 3 s|^2 x", "|x of 15 s|^2 x"])
+@pytest.mark.parametrize("form", ["|x of 3 s|^2 x", pytest.param("|x of 15 s|^2 x", marks=pytest.mark.slow)])
 def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander(form: str) -> None:
     """It is in the shift of every record, whose size is measured: what goes as the energy of a quarter of a minute before is not that."""
     model = looked_at(on_a_table())
@@ -162,6 +164,7 @@ def test_two_effects_of_the_registry_are_no_stranger() -> None:
     assert any("pickoff_amplitude_phase" in g for g in names)
 
 
+@pytest.mark.slow
 def test_an_effect_whose_form_is_short_of_a_thousandth_keeps_its_name() -> None:
     """A table of one speed hardly tells |Omega| from Omega^2: an unnamed term of both axes holds an asymmetry and what its form lacks."""
     model = looked_at(on_a_table())

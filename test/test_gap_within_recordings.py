@@ -192,6 +192,7 @@ def test_what_is_left_of_a_wave_is_the_force_that_is_not_in_the_log() -> None:
     assert compared > 3
 
 
+@pytest.mark.slow
 def test_a_supply_that_swings_within_recordings_is_unknown() -> None:
     campaign = on_a_table()
     assert diagnose(campaign).verdict == "none"
