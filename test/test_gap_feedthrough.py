@@ -9,9 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from table_samples import on_a_table
 
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
+from gyro_calib.simulation import GyroSimulator
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
 from gyro_calib.trial.units import draw_trial_unit
@@ -69,3 +72,25 @@ def test_each_axis_of_a_hemisphere_feeds_through_by_its_own_motion_and_at_its_ow
     assert verdict.unknown is not None
     assert (verdict.unknown.location, verdict.unknown.phase) == ("pick-off", "of any phase")
     assert "u_j, " in verdict.unknown.form
+
+
+def with_hot_open_drives() -> Campaign:
+    """A ring whose open drives are recorded at two temperatures."""
+    device = draw_unit(load_device("ring_15k"), 5)
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
+    plan = gap_ftr_plan(device.factory(), quality="quick", abilities=("temperature",))
+    hot = max(k for k, s in enumerate(plan.steps) if s.label.endswith("_hot"))
+    again = tuple(replace(s, label=f"hot_{s.label}") for s in plan.steps if s.label == "locate" or s.label.startswith("feed"))
+    return run_plan(instrument, replace(plan, steps=plan.steps[: hot + 1] + again + plan.steps[hot + 1 :]))
+
+
+def test_a_feedthrough_that_grows_with_warmth_as_a_whole_has_its_name() -> None:
+    """Through any element and at any phase: what the catalogue's form has beside it is no noise of the hot open drives."""
+    campaign = with_hot_open_drives()
+    grown = np.array([[-1.0 - 0.3j, -0.7 - 0.4j], [0.1, 0.2 - 0.3j]]) * 2e-6
+    volts = [(r.data[:, column_index("temperature")] - 25.0)[:, None] * (r.drive @ grown.T) for r in campaign]
+    verdict = diagnose(read_with(campaign, volts))
+    assert [e.name for e in verdict.effects] == ["thermal_feedthrough"]
+    assert verdict.unknown is None
+    size = verdict.effects[0].parameters["e_x"]
+    assert abs(size.value + 2e-6) < 3.0 * size.sd + 1e-7

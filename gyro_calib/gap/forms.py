@@ -306,11 +306,12 @@ def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _fed_by_warmth(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Of the axis' own drive in phase; as much in quadrature, and a third of it across, may come with that."""
-    fed = _warm(s)[:, None] * s.drive
+    """Of the axis' own drive in phase; as much in quadrature, and across what feeds through there, may come with that."""
+    fed, own = _warm(s)[:, None] * s.drive, np.abs(np.diag(d.E))
+    crossed = np.clip(np.abs(np.array([d.E[0, 1], d.E[1, 0]])) / np.maximum(own, 1e-12), _ACROSS, 1.0 / _ACROSS)
     late = [_beside(f"late_{n}", "output", 1j * one_axis(fed, k)) for k, n in enumerate("xy")]
     across = [
-        _beside(f"across_{n}{q}", "output", _ACROSS * f * one_axis(_swapped(fed), k))
+        _beside(f"across_{n}{q}", "output", crossed[k] * f * one_axis(_swapped(fed), k))
         for k, n in enumerate("xy")
         for q, f in (("c", 1.0), ("s", 1j))
     ]

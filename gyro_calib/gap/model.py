@@ -20,14 +20,15 @@ from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
 from .floors import course_beside_floors
 from .followed import followed_of
-from .linear_device import TEMPERATURE_SPAN_K, frequency_columns, knows_its_resonance, linear_columns, linear_of, span_k, target_of
-from .monomials import LATE, RISING
+from .linear_device import frequency_columns, knows_its_resonance, linear_columns, linear_of, target_of
+from .missing import missing_of, needed_by
+from .monomials import LATE, RISING, WARM_FED
 from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasured, with_repeats
-from .nuisance import SWITCHED, slow_columns, thermal_columns, wander_columns
+from .nuisance import slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
 from .rate_table import gain_as_read, in_time, rate_columns, steps_of
-from .saturated import columns_of_time, counting, effect_columns, open_drive, saturated_columns
+from .saturated import columns_of_time, counting, effect_columns, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
@@ -47,8 +48,6 @@ _COURSE = 15.0
 _TABLE_S, _TABLE_ROUNDS = 5e-4, 2
 #: noise of a recording that shall say nothing, over its own, in power
 _SILENT = 1e8
-#: what an unnamed term that depends on something needs
-_NEEDED = {"speed of change": "open drive", "temperature": "temperature"}
 
 
 @dataclass(frozen=True)
@@ -175,9 +174,9 @@ def look_at(
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
     nuisances = [*_nuisances(evidence, linear, most, wander), *errs, *own_columns(evidence, linear, values)]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
-    missing = _missing(evidence)
+    missing = missing_of(evidence)
     candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}
-    bank = [(term, c) for term, c in anonymous_candidates(evidence, linear) if _NEEDED.get(term.depends_on) not in missing]
+    bank = [(term, c) for term, c in anonymous_candidates(evidence, linear) if not missing & needed_by(term)]
     sensor_s = sensor_late_s(values)
     bank = [(term, c) for term, c in bank if not (sensor_s and term.form.startswith(RISING))]
     courses = courses_of(evidence, linear, read_late=sensor_s > 0.0)
@@ -257,7 +256,7 @@ def _weighed(
 
 
 def _is_strange(term: Anonymous) -> bool:
-    return term.depends_on in _STRANGE or term.form.startswith(LATE)
+    return term.depends_on in _STRANGE or term.form == WARM_FED or term.form.startswith(LATE)
 
 
 def _course_of_warming(
@@ -380,16 +379,3 @@ def _in_time(
         evidence = in_time(logged, late_s, length_s)
         linear, values = _resonant(evidence, _nuisances(evidence, linear, most_rad_s, most_rad_s), angular_gain)
     return evidence, linear, values, late_s
-
-
-def _missing(evidence: CampaignEvidence) -> set[str]:
-    """What these recordings do not have, of what effects need.
-
-    A resonance that answers the drive answers the drive's noise, and that follows the pick-off's where the loops are closed: without
-    an open drive, side bands or a switched drive nothing tells a lag from it. A temperature that only wanders is the thermometer's noise.
-    """
-    told = open_drive(evidence)
-    commands = [r.recording.command for r in evidence]
-    changed = any(c.excitation.kind.endswith("modulation") or c.mode in SWITCHED for c in commands)
-    there = {"open drive": told, "side bands": told or changed, "temperature": span_k(evidence) >= TEMPERATURE_SPAN_K}
-    return {name for name, yes in there.items() if not yes}

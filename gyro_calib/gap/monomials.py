@@ -13,7 +13,7 @@ from .memory import remembered
 from .parts import one_axis, turned
 from .signals import Signals
 
-__all__ = ["APART", "FED", "LATE", "MONOMIALS", "RISING", "Monomial", "size_of"]
+__all__ = ["APART", "FED", "LATE", "MONOMIALS", "RISING", "WARM_FED", "Monomial", "size_of"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -194,7 +194,8 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     **_by_azimuth(12),
     **_by_azimuth(16),
 }
-#: what feeds through and is not in proportion to the drive: a varactor, a stray capacitance that the motion moves
+#: what feeds through and is not in proportion to the drive: a varactor, a stray capacitance that the motion moves; or grows with the warmth
+WARM_FED = "T u, u the drives"
 FED: dict[tuple[str, str], list[Monomial]] = {
     ("|u|^2 u, u the drives", "drive"): [lambda s, x: size_of(s.drive) ** 2 * s.drive],
     ("|u_j|^2 u_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * s.drive),
@@ -202,4 +203,8 @@ FED: dict[tuple[str, str], list[Monomial]] = {
     ("|p_j|^2 u_j, p the motion, u the drives", "amplitude"): _on_each(lambda s, x: np.abs(s.pick) ** 2 * s.drive),
     ("|p_k|^2 u_j, p the motion of the other axis", "amplitude"): _on_each(lambda s, x: np.abs(s.pick[:, ::-1]) ** 2 * s.drive),
     ("t u, u the drives", "time"): [lambda s, x: s.time_s[:, None] * s.drive],
+    (WARM_FED, "temperature"): [
+        *_on_each(lambda s, x: s.temperature_k[:, None] * s.drive),
+        *_on_each(lambda s, x: s.temperature_k[:, None] * s.drive[:, ::-1]),
+    ],
 }
