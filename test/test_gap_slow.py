@@ -200,7 +200,10 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
     other = next(s for s in model.screener.screened(model.candidates["duffing"]))
     least, most = louder_floors(model, []), louder_floors(hushed, [])
     assert least + 1.0 < most
-    for evidence, beats in ((most - 1.0, False), (most + 1.0, True)):
+    # what larger floors gain beside it as well is no reason against it
+    enough = most - louder_floors(hushed, [drift.candidate]) + 6.0
+    assert enough < most
+    for evidence, beats in ((enough - 1.0, False), (enough + 1.0, True)):
         assert beat_their_floors(hushed, [replace(drift, log_evidence=evidence)]) is beats
     assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
 

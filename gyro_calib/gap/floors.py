@@ -36,6 +36,8 @@ __all__ = ["beat_their_floors", "beside_wander", "course_beside_floors", "louder
 
 #: log evidence of a course of time against floors alone: what any effect must have, and the choice among its places
 _MARGIN = 12.0
+#: log evidence of effects of time beside larger floors against larger floors alone: one in twenty of some twenty such effects
+_LIKELIER = 6.0
 
 
 def louder_floors(model: CampaignModel, others: Sequence[Candidate]) -> float:
@@ -56,10 +58,17 @@ def louder_floors(model: CampaignModel, others: Sequence[Candidate]) -> float:
 
 
 def beat_their_floors(model: CampaignModel, effects: Sequence[Screened]) -> bool:
-    """Whether those of the effects that need but time are likelier than larger floors; true where there are none."""
+    """Whether those of the effects that need but time are likelier than larger floors; true where there are none.
+
+    Floors are never quite as large as they seem, with the effects or without: where the effects alone do not reach what larger floors gain,
+    what these gain beside the effects counts as well, and the effects must be likelier by far.
+    """
     of_time = sum(e.log_evidence for e in effects if is_of_time(e.name))
     others = [e.candidate for e in effects if not is_of_time(e.name)]
-    return len(others) == len(effects) or of_time > louder_floors(model, others)
+    if len(others) == len(effects):
+        return True
+    left = of_time - louder_floors(model, others)
+    return left > 0.0 or left + louder_floors(model, [e.candidate for e in effects]) > _LIKELIER
 
 
 def course_beside_floors(

@@ -7,6 +7,7 @@ only where it is larger than a healthy device has it.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,8 @@ FloatArray = NDArray[np.float64]
 #: temperature coefficients of healthy devices, sd [1/K]: gains that both axes have alike; phases, a tenth of a radian of filters whose
 #: parts move by 100 ppm/K; damping relative
 GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-5, 5e-3
+#: a split by its own size [1/K]: what trims and gaps left of larger ones, each with a coefficient of its own
+_SPLIT_PER_K = 1e-3
 #: how the name of what both axes have alike begins
 _BOTH = "both_"
 BOTH_PICKOFFS, BOTH_DRIVES_LATE = f"{_BOTH}thermal_pickoff_gain", f"{_BOTH}drive_delay"
@@ -156,7 +159,8 @@ def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column
     unequal = linear.A - np.eye(2) * np.trace(linear.A) / 2.0
     anisotropy, lossy = np.abs(unequal).max(), float(np.abs(unequal.real).max())
     columns = _form(evidence, linear, "thermal_damping", {"c": _DAMPING_PER_K * damping})
-    columns += _scaled_losses(evidence, linear, unequal.real)
+    columns += _scaled(evidence, linear, unequal.real, "anisotropy_per_k", _DAMPING_PER_K)
+    columns += _scaled(evidence, linear, 1j * _split_of(linear), "split_per_k", _SPLIT_PER_K)
     sd = _OTHERWISE_PER_K * lossy + _OTHERWISE_OF_ALL_PER_K * damping
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
     columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
@@ -165,16 +169,21 @@ def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column
         columns += _of_both(evidence, linear, name, GAIN_PER_K)
     for name in ("thermal_drive_phase", "thermal_pickoff_phase"):
         columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _PHASE_PER_K))
-    return columns + _gradient_columns(evidence, linear, _DAMPING_PER_K * (lossy + 1e-3 * damping))
+    return columns + _gradient_columns(evidence, linear, unequal.real, _DAMPING_PER_K * (lossy + 1e-3 * damping))
 
 
-def _scaled_losses(evidence: CampaignEvidence, linear: Linear, unequal: FloatArray) -> list[Column]:
-    """What is unequal of the damping goes with the temperature as the damping does: its pattern stays, its size does not."""
+def _scaled(evidence: CampaignEvidence, linear: Linear, unequal: NDArray[Any], name: str, per_k: float) -> list[Column]:
+    """What is unequal of the damping or of the stiffness goes with the temperature: its pattern stays, its size does not."""
     by_recording = [
-        [Part("anisotropy_per_k", "flow", r.signals.temperature_k[:, None] * ((r.signals.pick - r.signals.drive @ linear.E.T) @ unequal.T))]
+        [Part(name, "flow", r.signals.temperature_k[:, None] * ((r.signals.pick - r.signals.drive @ linear.E.T) @ unequal.T))]
         for r in evidence
     ]
-    return [replace(c, prior_sd=_DAMPING_PER_K) for c in part_columns(evidence, by_recording, linear)]
+    return [replace(c, prior_sd=per_k) for c in part_columns(evidence, by_recording, linear)]
+
+
+def _split_of(linear: Linear) -> FloatArray:
+    """Half the split, by axis and across [rad/s], shape (2, 2)."""
+    return np.asarray(linear.A.imag - np.eye(2) * np.trace(linear.A.imag) / 2.0)
 
 
 def _of_both(evidence: CampaignEvidence, linear: Linear, name: str, sd: float) -> list[Column]:
@@ -183,8 +192,8 @@ def _of_both(evidence: CampaignEvidence, linear: Linear, name: str, sd: float) -
     return [replace(c, prior_sd=sd) for c in part_columns(evidence, by_recording, linear)]
 
 
-def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: float) -> list[Column]:
-    """Gains, phases and damping while the temperature moves: their places are not the sensor's, and lag behind it by tenths of a second.
+def _gradient_columns(evidence: CampaignEvidence, linear: Linear, unequal: FloatArray, rate_per_k: float) -> list[Column]:
+    """Gains, phases, damping and split while the temperature moves: their places are not the sensor's, tenths of a second before or behind.
 
     And the bias in rate that follows the temperature as the damping's anisotropy does, which healthy devices have as well.
     """
@@ -203,9 +212,16 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, rate_per_k: fl
             for axis, a in zip(np.eye(2), "xy", strict=True)
         ]
         across = -r.signals.temperature_k[:, None] * turned(motion)
-        by_recording.append([*parts, Part("gradient_damping", "flow", -slope * motion), Part("rate_per_k", "flow", across)])
+        parts += [
+            Part("gradient_split", "flow", 1j * slope * (motion @ _split_of(linear).T)),
+            Part("gradient_anisotropy", "flow", slope * (motion @ unequal.T)),
+            Part("gradient_damping", "flow", -slope * motion),
+            Part("rate_per_k", "flow", across),
+        ]
+        by_recording.append(parts)
     damping = _damping(evidence, linear)
     sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
+    sizes |= {"gradient_split": _SPLIT_PER_K * _GRADIENT_LAG_S, "gradient_anisotropy": _DAMPING_PER_K * _GRADIENT_LAG_S}
     sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
     sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
     found = part_columns(evidence, by_recording, linear)
