@@ -116,6 +116,17 @@ def test_a_strong_effect_has_its_true_size(effect: str, sizes: dict[str, float])
         assert value.value == pytest.approx(sizes[name], rel=2e-3)
 
 
+def test_a_cube_of_each_axis_as_large_on_both_is_told_by_pickoffs_that_are_not_square() -> None:
+    """Of both together it is 2.4 % short, and what is left has the name of a cubic cross stiffness (a sixth plant, 126 in chi-square)."""
+    skewed = replace(unit().pickoff, non_orthogonality_rad=0.02, gain_mismatch=0.0)
+    device = replace(unit(), pickoff=skewed, effects={"duffing_axes": {"k_x": -0.004, "k_y": -0.004}})
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
+    (found,) = diagnose(run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick"))).effects
+    assert found.name == "duffing"
+    for name in ("k_x", "k_y"):
+        assert abs(found.parameters[name].value + 0.004) < 3.0 * found.parameters[name].sd
+
+
 def test_json_has_the_keys_of_the_contract() -> None:
     words = json.loads(json.dumps(damped().to_json()))
     assert {"verdict", "effects", "unknown", "map", "gap", "not_testable", "next_experiment"} <= set(words)

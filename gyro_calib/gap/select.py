@@ -258,7 +258,8 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     """The best beside those chosen, at its best setting: one that comes near on the grid may be better between its points.
 
     And one that counts may be better by what pick-offs that are not alike make of it: where a resonance wanders, a Duffing of a
-    hemisphere shows more by their phases than by the frequency, and relaxation was named.
+    hemisphere shows more by their phases than by the frequency, and relaxation was named. A cube of each axis by itself, as large
+    on both, is one of their sum but for that.
     """
     screener = model.screener_with(chosen)
     near = [s for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
@@ -266,8 +267,15 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     found = screener.screened(refined)
     tried = {s.name for s in near}
     counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s.name not in tried] + found
+    counting += [v for f in counting for v in _by_axis(model, screener, f)]
     unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
     return max(found + unlike, key=lambda s: s.log_evidence).candidate
+
+
+def _by_axis(model: CampaignModel, screener: Screener, found: Screened) -> list[Screened]:
+    """The effect by axis, if it was found of both together and there is such a one."""
+    together = found.candidate.setting.get("axes") == 0.0
+    return screener.screened(c for c in model.candidates[found.name] if together and c.setting["axes"])
 
 
 def _with_unlike_pickoffs(model: CampaignModel, screener: Screener, found: Screened) -> Screened | None:
