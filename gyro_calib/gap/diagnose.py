@@ -32,6 +32,7 @@ from .screen import Candidate, Screened
 from .select import Selection, select_effects
 from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
+from .steady_swings import find_steady_swing
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
 from .swings import find_swing
 from .system import Solution
@@ -254,9 +255,9 @@ def _within_recordings(model: CampaignModel, with_effects: bool) -> Unknown | No
     Effects may do so where a side band or a turning wave takes them along, and settle after a command; at rest they do not swing.
     """
     flows = flows_left(model.evidence, model.linear)
-    swing = find_swing([flow for flow in flows if flow.is_still] if with_effects else flows)
+    still = [flow for flow in flows if flow.is_still] if with_effects else flows
     jumps = None if with_effects else find_jumps(flows)
-    found = [moves.unknown() for moves in (swing, jumps) if moves is not None]
+    found = [moves.unknown() for moves in (find_swing(still), find_steady_swing(still), jumps) if moves is not None]
     return max(found, key=lambda unknown: unknown.gain, default=None)
 
 

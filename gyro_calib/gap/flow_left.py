@@ -44,6 +44,8 @@ class FlowLeft:
         Turns of psi a second.
     rate : mapping of str to ndarray, shape (n,)
         Relative rate of change that nothing explains [1/s], by channel, less its mean and slope.
+    start_s : float
+        Of its first row, on the campaign's clock.
     """
 
     label: str
@@ -53,6 +55,7 @@ class FlowLeft:
     excited_hz: float
     turning_hz: float
     rate: dict[str, FloatArray]
+    start_s: float = 0.0
 
     @property
     def is_still(self) -> bool:
@@ -96,6 +99,7 @@ def _flow_left(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> Flo
         command.excitation.frequency_hz if command.excitation.kind != "none" else 0.0,
         abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * s.row_s * len(azimuth)),
         {name: _straightened(x) for name, x in zip(CHANNELS, (along.real, along.imag, across.real, across.imag), strict=True)},
+        float(s.time_s[0]),
     )
 
 

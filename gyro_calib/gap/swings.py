@@ -21,11 +21,11 @@ from .flow_left import FlowLeft
 from .noise_law import fit_law
 from .spectra import is_image
 
-__all__ = ["Swing", "find_swing"]
+__all__ = ["HIGHEST_HZ", "SHORTEST_S", "Kind", "Swing", "find_swing", "kinds_of"]
 
 FloatArray = NDArray[np.float64]
 #: bins about the mean, harmonics of a wave's turning and bins about those of a side band that belong to the signal; highest [Hz]
-_LEAST_BINS, _HARMONICS, _SKIRT_BINS, _HIGHEST_HZ = 4.0, 16.0, 3.0, 12.0
+_LEAST_BINS, _HARMONICS, _SKIRT_BINS, HIGHEST_HZ = 4.0, 16.0, 3.0, 12.0
 #: log evidence beyond the search (26 healthy campaigns came to 1.2 at most); what a size costs in each record; power over the floor that
 #: shows it, and in how many records at least
 _MARGIN, _PRICE, _SHOWN, _FEWEST = 20.0, 2.0, 8.0, 2
@@ -36,7 +36,7 @@ _ABOUT_BINS, _FEWEST_ABOUT = 12.0, 10
 #: frequencies of most evidence that are asked so
 _ASKED = 6
 #: a recording shorter than this says nothing [s]; fewest bins of a kind from which its floor is measured
-_SHORTEST_S, _FEWEST_BINS = 3.5, 24
+SHORTEST_S, _FEWEST_BINS = 3.5, 24
 #: distance of the frequencies that are tried, in bins of the longest record
 _STEP_BINS = 0.5
 #: what swings, by channel
@@ -102,21 +102,30 @@ class _Spectrum:
 
 
 @dataclass(frozen=True)
-class _Kind:
+class Kind:
     """Records that share a floor."""
 
+    flows: tuple[FlowLeft, ...]
     spectra: tuple[_Spectrum, ...]
 
     def over_floor(self, grid: FloatArray, apart_hz: float | None) -> list[FloatArray]:
         """Power over the floor by record, at every frequency of a grid; NaN where it holds signal."""
+        found = []
+        for s, floor in zip(self.spectra, self.floors(grid, apart_hz), strict=True):
+            places = np.minimum(np.round(grid / s.bin_hz).astype(int), s.power.size - 1)
+            found.append(s.power[places] / floor)
+        return found
+
+    def floors(self, grid: FloatArray, apart_hz: float | None, *, low: bool = False) -> list[FloatArray]:
+        """The floor by record at the bins of every frequency of a grid; NaN where they hold signal; ``low``: nearer the mean, too."""
         law = self._floor(apart_hz)
         if apart_hz is not None:
             law = law * max(1.0, self._about(apart_hz, law))
         found = []
         for s in self.spectra:
             places = np.minimum(np.round(grid / s.bin_hz).astype(int), s.power.size - 1)
-            there = s.heard[places] & (np.round(grid / s.bin_hz) < s.power.size)
-            found.append(np.where(there, s.power[places] / (_basis(np.maximum(s.frequency_hz[places], 1e-9)) @ law), np.nan))
+            there = (s.low if low else s.heard)[places] & (np.round(grid / s.bin_hz) < s.power.size)
+            found.append(np.where(there, _basis(np.maximum(s.frequency_hz[places], 1e-9)) @ law, np.nan))
         return found
 
     def _about(self, apart_hz: float, law: FloatArray) -> float:
@@ -155,17 +164,17 @@ def find_swing(flows: Sequence[FlowLeft]) -> Swing | None:
     ----------
     flows : sequence of FlowLeft
     """
-    long_enough = [flow for flow in flows if flow.duration_s >= _SHORTEST_S]
+    long_enough = [flow for flow in flows if flow.duration_s >= SHORTEST_S]
     if len(long_enough) < _FEWEST:
         return None
     step = _STEP_BINS / max(flow.duration_s for flow in long_enough)
-    grid = np.arange(step, _HIGHEST_HZ, step)
+    grid = np.arange(step, HIGHEST_HZ, step)
     searched = math.log(len(CHANNELS) * grid.size)
-    found = [swing for channel in CHANNELS if (swing := _of_channel(_kinds(long_enough, channel), grid, channel, searched)) is not None]
+    found = [swing for channel in CHANNELS if (swing := _of_channel(kinds_of(long_enough, channel), grid, channel, searched)) is not None]
     return max(found, key=lambda swing: swing.log_evidence, default=None)
 
 
-def _of_channel(kinds: Sequence[_Kind], grid: FloatArray, channel: str, searched: float) -> Swing | None:
+def _of_channel(kinds: Sequence[Kind], grid: FloatArray, channel: str, searched: float) -> Swing | None:
     """The frequency of most evidence that stands over the floor of the bins on both of its sides."""
     evidence, _ = _told(kinds, grid)
     for _ in range(_ASKED):
@@ -180,7 +189,7 @@ def _of_channel(kinds: Sequence[_Kind], grid: FloatArray, channel: str, searched
     return None
 
 
-def _told(kinds: Sequence[_Kind], grid: FloatArray, apart_hz: float | None = None) -> tuple[FloatArray, NDArray[np.int_]]:
+def _told(kinds: Sequence[Kind], grid: FloatArray, apart_hz: float | None = None) -> tuple[FloatArray, NDArray[np.int_]]:
     """Log evidence at every frequency, and how many records show it."""
     ratios = [ratio for kind in kinds for ratio in kind.over_floor(grid, apart_hz)]
     if not ratios:
@@ -194,11 +203,12 @@ def _told(kinds: Sequence[_Kind], grid: FloatArray, apart_hz: float | None = Non
     return np.where(shown >= _FEWEST, np.sum(each, axis=0) - np.max(each, axis=0), -np.inf), shown
 
 
-def _kinds(flows: Sequence[FlowLeft], channel: str) -> list[_Kind]:
+def kinds_of(flows: Sequence[FlowLeft], channel: str) -> list[Kind]:
+    """Records by what they share a floor with, of kinds that tell one."""
     of_kind: dict[tuple[object, ...], list[FlowLeft]] = defaultdict(list)
     for flow in flows:
         of_kind[flow.kind].append(flow)
-    kinds = [_Kind(tuple(_Spectrum.of(flow, channel) for flow in members)) for members in of_kind.values()]
+    kinds = [Kind(tuple(members), tuple(_Spectrum.of(flow, channel) for flow in members)) for members in of_kind.values()]
     return [kind for kind in kinds if sum(int(s.heard.sum()) for s in kind.spectra) >= _FEWEST_BINS]
 
 
@@ -215,7 +225,7 @@ def _power(x: FloatArray, row_s: float) -> FloatArray:
 def _hears(flow: FlowLeft, f: FloatArray, least_bins: float) -> NDArray[np.bool_]:
     """Bins from one on that belong neither to a turning wave nor to a side band and its harmonics, and where no image stands."""
     bin_hz = 1.0 / flow.duration_s
-    heard = (f > max(least_bins * bin_hz, _HARMONICS * flow.turning_hz)) & (f < _HIGHEST_HZ)
+    heard = (f > max(least_bins * bin_hz, _HARMONICS * flow.turning_hz)) & (f < HIGHEST_HZ)
     if flow.excited_hz > 0.0:
         heard &= np.abs(f - flow.excited_hz * np.round(f / flow.excited_hz)) > _SKIRT_BINS * bin_hz
     busy_hz = max(flow.excited_hz, flow.turning_hz)
