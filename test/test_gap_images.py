@@ -88,6 +88,7 @@ def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
     assert np.average(sizes, weights=sds**-2.0) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_the_drives_of_a_wave_that_turns_have_their_image_too() -> None:
     """A hemisphere, twice whose frequency is 0.6 Hz from a multiple of its loops' rate: the fastest line of its fastest turns."""
     _, _, sizes, sds = image_sizes("hrg_hardware", CARRIER_OF_HEMISPHERE_HZ, gap_whole_angle_plan)

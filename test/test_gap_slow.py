@@ -208,6 +208,7 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
     assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
 
 
+@pytest.mark.slow
 def test_what_one_recording_alone_tells_is_no_drift() -> None:
     """A first record whose quadrature is another looks like a charge that is soon there; a stiffness that drifts is told by all."""
     unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(2)

@@ -54,6 +54,7 @@ def test_a_force_that_begins_at_a_level_is_in_the_bank(phase: str) -> None:
     assert np.all(sizes[largest > 1.1 * level] > 1e-2 * sizes.max())
 
 
+@pytest.mark.slow
 def test_a_loss_that_begins_at_a_level_is_no_effect_of_the_registry() -> None:
     """Two losses of the registry, one of them negative, explain it nearly: one unnamed term does better."""
     selection = selected(knee("in phase").columns)
@@ -118,7 +119,10 @@ def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander(form: s
 
 @pytest.mark.parametrize(
     ("location", "form", "place"),
-    [("drive", "|u_j of 0.7 s|^2 x_j, u the drives", 2), ("dynamics", "Omega of 1 s before x, turned", 0)],
+    [
+        pytest.param("drive", "|u_j of 0.7 s|^2 x_j, u the drives", 2, marks=pytest.mark.slow),
+        ("dynamics", "Omega of 1 s before x, turned", 0),
+    ],
 )
 def test_what_warms_or_creeps_in_a_second_has_a_form(location: str, form: str, place: int) -> None:
     """The output stage of a drive by its own power, and a mount by the rate that its table was just given."""
