@@ -78,6 +78,17 @@ def test_one_disturbed_recording_is_not_the_campaign() -> None:
     assert find_steady_swing(swinging(flows(np.random.default_rng(3)), "precession", 4e-5, phases)) is None
 
 
+def test_a_campaign_of_days_is_asked_for_no_more_frequencies_than_one_of_minutes() -> None:
+    """All that one tells apart up to 12 Hz would be a hundred million."""
+    days = [replace(f, start_s=1e4 * f.start_s) for f in flows(np.random.default_rng(5))]
+    assert find_steady_swing(days) is None
+    hours = [replace(f, start_s=60.0 * f.start_s) for f in flows(np.random.default_rng(5))]
+    found = find_steady_swing(swinging(hours, "precession", 1e-5, np.full(COUNT, 0.6)))
+    assert found is not None
+    # recordings at even distances tell it but for a multiple of one over these
+    assert found.frequency_hz == pytest.approx(SWING_HZ, abs=0.5 / (ROW_S * ROWS))
+
+
 def test_few_recordings_tell_nothing() -> None:
     rocked = swinging(flows(np.random.default_rng(4)), "precession", 1e-4, np.full(COUNT, 0.6))
     assert find_steady_swing(rocked) is not None

@@ -21,8 +21,9 @@ __all__ = ["find_steady_swing"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-#: fewest records that tell it; distance of the frequencies that are tried, over what one campaign tells apart
-_FEWEST, _STEP = 6, 0.25
+#: fewest records that tell it; distance of the frequencies that are tried, over what one campaign tells apart; how many are tried at
+#: most, of a campaign of hours the lower ones
+_FEWEST, _STEP, _MOST = 6, 0.25, 40_000
 #: log evidence beyond the search from which on it is one
 _MARGIN = 12.0
 
@@ -39,7 +40,7 @@ def find_steady_swing(flows: Sequence[FlowLeft]) -> Swing | None:
         return None
     span_s = max(f.start_s + f.duration_s for f in long_enough) - min(f.start_s for f in long_enough)
     step = _STEP / span_s
-    grid = np.asarray(np.arange(1.0, HIGHEST_HZ / step) * step, dtype=np.float64)
+    grid = np.asarray(np.arange(1.0, min(HIGHEST_HZ / step, _MOST)) * step, dtype=np.float64)
     searched = math.log(len(CHANNELS) * grid.size)
     found = [swing for channel in CHANNELS if (swing := _of_channel(kinds_of(long_enough, channel), grid, channel, searched)) is not None]
     return max(found, key=lambda swing: swing.log_evidence, default=None)
