@@ -96,10 +96,10 @@ def test_the_temperature_of_a_healthy_unit_is_no_effect() -> None:
 
 
 def test_axes_of_one_design_part_by_tens_of_parts_per_million() -> None:
-    """Both gains alike are believed to be 3e-4/K, what one axis does by itself an eighth of it, and no phase more than 1e-5 rad/K."""
+    """Both gains alike are believed to be 3e-4/K, what one axis does by itself an eighth of it, and no phase more than 1.5e-5 rad/K."""
     sds = {c.name: c.prior_sd for c in following_columns(model().evidence, model().linear)}
     assert sds["thermal_drive_gain.g_x"] <= 0.13 * sds["both_thermal_drive_gain"] * (1 + 1e-12)
-    assert max(sds[f"thermal_{side}_phase.g_{axis}"] for side in ("drive", "pickoff") for axis in "xy") <= 1e-5
+    assert max(sds[f"thermal_{side}_phase.g_{axis}"] for side in ("drive", "pickoff") for axis in "xy") <= 1.5e-5
 
 
 def test_a_pump_that_undoes_the_damping_does_not_take_what_follows_the_temperature() -> None:

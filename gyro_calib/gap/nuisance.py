@@ -36,8 +36,8 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 #: temperature coefficients of healthy devices, sd [1/K]: gains that both axes have alike; phases, a tenth of a radian of filters whose
-#: parts move by 100 ppm/K; damping relative
-GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1e-5, 5e-3
+#: parts move by 150 ppm/K; damping relative
+GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1.5e-5, 5e-3
 #: a split by its own size [1/K]: what trims and gaps left of larger ones, each with a coefficient of its own
 _SPLIT_PER_K = 1e-3
 #: how the name of what both axes have alike begins
