@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from table_samples import on_a_table
+from table_samples import looked_at, on_a_table
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
+from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.simulation import GyroSimulator
@@ -82,6 +83,15 @@ def with_hot_open_drives() -> Campaign:
     hot = max(k for k, s in enumerate(plan.steps) if s.label.endswith("_hot"))
     again = tuple(replace(s, label=f"hot_{s.label}") for s in plan.steps if s.label == "locate" or s.label.startswith("feed"))
     return run_plan(instrument, replace(plan, steps=plan.steps[: hot + 1] + again + plan.steps[hot + 1 :]))
+
+
+def test_a_feedthrough_by_warmth_that_was_found_alone_is_formed_anew() -> None:
+    """What may come with it has no size then: that ended a diagnosis with a KeyError."""
+    model = looked_at(with_hot_open_drives())
+    (alone,) = model.candidates["thermal_feedthrough"]
+    (again,) = relinearised(model, [alone])
+    assert [c.name for c in alone.columns] == ["e_x", "e_y"]
+    assert {"e_x", "e_y", "skew_late_x"} <= {c.name for c in again.columns}
 
 
 def test_a_feedthrough_that_grows_with_warmth_as_a_whole_has_its_name() -> None:

@@ -86,6 +86,7 @@ def _motion(signals: Signals, linear: Linear, chosen: Sequence[Candidate], sizes
         for candidate in chosen:
             for part in FORMS[candidate.name].parts(at, linear, candidate.setting):
                 if part.kind == "output":
+                    # what may come with an effect has a size only once it was found beside it
                     added = added + sizes[candidate.name].get(part.parameter, 0.0) * part.signal
         moved, pick = float(np.abs(signals.pick - added - pick).max()), signals.pick - added
         if moved < _INVERTED_V:
