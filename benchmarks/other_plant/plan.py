@@ -1,4 +1,6 @@
-"""The tables of steps of doc/gap_campaign.md in a drawn order, and the healthy plans of loggers who lacked something."""
+"""The tables of steps of doc/gap_campaign.md in a drawn order, without the warm open drives that these have had since, and the plans of
+loggers who lacked something.
+"""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from ..errors import DataError
 from ..recording.applied_rate import words_of_steps
 from ..recording.command import Command, Excitation, Setpoints
 from .plan import Limits, Plan, Step
-from .plans import CUBIC_AMPLITUDES, QUALITIES, mission_mode, open_steps
+from .plans import CUBIC_AMPLITUDES, FEEDTHROUGH_HZ, QUALITIES, mission_mode, open_steps
 from .whole_angle_plans import (
     ABOVE_DRIFT,
     MARGIN,
@@ -134,6 +134,7 @@ def gap_ftr_plan(
             [
                 replace(_static(factory, a, q, f"thermal_{a}_up"), duration_s=q.thermal_s, temperature_degc=high, temperature_ramp_s=ramp),
                 *(_static(factory, axis, q, f"thermal_{axis}_hot") for axis in (b, a)),
+                *_warm(blocks[0])[1:],
                 replace(_static(factory, b, q, f"thermal_{b}_down"), duration_s=q.thermal_s, temperature_degc=low, temperature_ramp_s=ramp),
             ]
         )
@@ -181,7 +182,8 @@ def gap_whole_angle_plan(
         )
         up = replace(up, temperature_degc=high, temperature_ramp_s=0.75 * up.duration_s)
         down = replace(down, temperature_degc=low, temperature_ramp_s=0.75 * down.duration_s)
-        blocks.append([_static(factory, "x", q, "static_x_thermal"), up, _free(factory, "thermal_free", q), hot, down])
+        warm = [up, _free(factory, "thermal_free", q), hot, *_warm(blocks[0])]
+        blocks.append([_static(factory, "x", q, "static_x_thermal"), *warm, down])
     if "applied_rate" in abilities:
         blocks.append([_turned(_free(factory, f"table_{k}", q), q, TABLE_RAD_S) for k in range(2)])
     steps = _settled(_between(rounds, blocks, rng), factory)
@@ -220,6 +222,17 @@ def _open_block(factory: Mapping[str, Any], quality: str, rng: np.random.Generat
     # a wave that was brought down to be opened says nothing but where its resonance is
     locate = replace(locate, kept=locate.command.setpoints.amplitude_v > 0.5 * _amplitude(factory))
     return [locate, *_drawn([s for s in steps if body or s.command.excitation.kind == "drive"], rng)]
+
+
+def _warm(block: Sequence[Step]) -> list[Step]:
+    """The open drives farthest from the resonance, to be recorded again while warm, behind the record that locates it.
+
+    A feedthrough that follows the temperature shows off resonance alone, and on both sides: on one a drive's gain that follows it is
+    the same.
+    """
+    locate, *opened = block
+    far = [s for s in opened if s.command.excitation.kind == "drive" and s.detuning_hz in (FEEDTHROUGH_HZ[0], FEEDTHROUGH_HZ[-1])]
+    return [replace(s, label=f"hot_{s.label}") for s in (locate, *far)]
 
 
 def _ring_blocks(factory: Mapping[str, Any], quality: str, q: GapQuality) -> list[list[Step]]:
