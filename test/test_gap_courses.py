@@ -175,15 +175,21 @@ def test_a_reading_that_is_another_in_every_recording_is_noise() -> None:
 def test_three_changes_of_one_property_are_one_of_another_kind() -> None:
     """Two may be a pair; hysteresis took a drift, a lag and a charge for itself."""
 
-    def found(*names: str) -> list[Screened]:
+    def found(*names: str, last: float = 4.0) -> list[Screened]:
         nothing = np.zeros(0)
-        return [Screened(Candidate(n, {}, (), nothing), 50.0, 1, 20.0, nothing, nothing, 0.0, nothing) for n in names]
+        gains = [*[50.0] * (len(names) - 1), last]
+        return [
+            Screened(Candidate(n, {}, (), nothing), g, 1, 20.0, nothing, nothing, 0.0, nothing) for n, g in zip(names, gains, strict=True)
+        ]
 
     assert one_change_of_another_kind(found("split_drift", "thermal_split_lag", "charge_accumulation"))
     assert not one_change_of_another_kind(found("split_drift", "thermal_split_lag", "damping_drift"))
     # one gradient made all three
     assert one_change_of_another_kind(found("thermal_drive_gain_lag", "thermal_damping_lag", "thermal_pickoff_gain_lag"))
     assert not one_change_of_another_kind(found("split_drift", "split_drift", "thermal_split"))
+    # of whatever kind, three that each take their share are one that is none of them; two are a pair
+    assert one_change_of_another_kind(found("split_drift", "duffing", "damping_drift", last=10.0))
+    assert not one_change_of_another_kind(found("split_drift", "duffing", last=50.0))
 
 
 def test_the_names_of_one_property_s_changes_are_the_registry_s() -> None:

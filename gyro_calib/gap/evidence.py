@@ -80,10 +80,28 @@ class RecordingEvidence:
         f = projector.frequency_hz
         slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
         if channel != "frequency" or not self.is_wave:
-            return Lines(np.where(f == 0.0, MEAN_LINE / self.recording.duration_s, f), slope, 1.0, f == 0.0)
+            mean = np.where(f == 0.0, MEAN_LINE / self.recording.duration_s, f)
+            return Lines(mean, slope, 1.0, f == 0.0, gains=self._gains(channel, quiet=quiet))
         # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds little noise beside that
         mean = np.where(f == 0.0, OWN_MEAN_LINE / self.recording.duration_s, f)
         return Lines(mean, slope, self.mean_square, f == 0.0, np.diag(projector.walk_gram))
+
+    def _gains(self, channel: str, *, quiet: bool) -> FloatArray | None:
+        """What floors of the pick-offs' gains bring to a channel of a wave, which its in-phase parts hear."""
+        if not self.is_wave or channel not in ("amplitude", "precession"):
+            return None
+        both = self._quiet_floors if quiet else self._signal_floors
+        count = both.shape[1] // 2
+        side = slice(0, count) if channel == "amplitude" else slice(count, None)
+        return both[:, side, side]
+
+    @cached_property
+    def _signal_floors(self) -> FloatArray:
+        return self.signal_forms.gain_floors(self.turn)
+
+    @cached_property
+    def _quiet_floors(self) -> FloatArray:
+        return self.quiet_forms.gain_floors(self.turn)
 
     @cached_property
     def grams(self) -> Grams:

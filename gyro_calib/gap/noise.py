@@ -21,7 +21,7 @@ from ..recording.applied_rate import is_turned
 from .column import Column
 from .evidence import CHANNELS, STEADY, WARMING, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
-from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law
+from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law, gain_floors
 from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Stack, Whitener, solve
 
@@ -48,6 +48,7 @@ _GAIN_SHARE = 0.01
 _FLOOR, _STEADY_FLOOR, _FEWEST_SQUARES = 0.3, 0.75, 40
 #: differences between repeated records that say how much their means differ by; as many of all channels count for one's own; rounds
 _FEWEST_REPEATS, _BELIEVED_REPEATS, _REPEAT_ROUNDS = 4, 8.0, 3
+_PLAIN_TERMS = 4  # of a basis that hears no gains
 #: rounds in which a model that is no richer than it need be tells the noise, where it leaves more than is believed, by so many sd
 _LEAN_ROUNDS, _LOUDER = 2, 2.0
 
@@ -221,8 +222,7 @@ def _squares(
         basis[key].append(lines.basis()[kept])
         squares[key].append((solution.residual[rows] ** 2 * noise[key].density(lines) / freedom[rows])[kept])
         if r.recording.command.mode in _FALLING:
-            # what rises or decays has something at every line
-            continue
+            continue  # what rises or decays has something at every line
         count = left[k].size // 2
         values = left[k][side * count : (side + 1) * count]
         basis[key].append(r.lines(channel, quiet=True).basis())
@@ -239,7 +239,8 @@ def _from_residuals(
     steady = {r.noise_key(channel) for r in evidence if r.role not in waves for channel in CHANNELS}
     # a kind that the model follows at every line tells nothing of its noise: as it was believed
     told = [key for key in basis if sum(len(s) for s in squares[key])]
-    fitted = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady) for key in told}
+    gains = gain_floors([(basis[key], squares[key]) for key in told if basis[key][0].shape[1] > _PLAIN_TERMS])
+    fitted = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady, gains=gains) for key in told}
     found = {key: fitted.get(key, noise[key]) for key in basis}
     parents = {r.role: r.parent_role for r in evidence}
     out = {}
@@ -256,7 +257,7 @@ def _steady(
     """Noise of recordings in which nothing is commanded to change, beside their means."""
     basis, squares = _squares(evidence, stack, solution, noise, quiet, _is_steady)
     return {
-        key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]))
+        key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), gains=noise[key].gains)
         for key in basis
         if sum(len(s) for s in squares[key]) >= _FEWEST_SQUARES
     }

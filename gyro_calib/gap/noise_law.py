@@ -1,20 +1,26 @@
-"""Density of a channel's noise on the test functions of one recording: white, flicker, random walk, and pick-off noise through L.
+"""Density of a channel's noise on the test functions of one recording: white, flicker, random walk, pick-off noise and gains through L.
 
 White noise of the pick-offs enters through the derivative of the test function, so its variance is the integral of phi'^2, known for each
 function; ``f^2`` would be right for an endless window, and short records are far from that. What wanders with the resonance is relative to
 the amplitude; what the pick-off adds is not.
+
+A pick-off's gain with a 1/f floor is another matter: through L its density rises with f, and it is heard as far as its axis moves. The
+practice devices' y read-out has one and their x read-out none, so that a wave on x is ten times as quiet as one on y and one that turns
+is quiet twice in a turn. Taken for white, that floor hides what is small and slow.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-__all__ = ["PICKOFF", "WHITE", "Grams", "Lines", "NoiseLaw", "fit_law"]
+__all__ = ["PICKOFF", "WHITE", "Grams", "Lines", "NoiseLaw", "fit_law", "gain_floors"]
 
 FloatArray = NDArray[np.float64]
 #: what a further term must gain beyond the information criterion, twice the log likelihood: strong evidence
@@ -44,6 +50,8 @@ class Lines:
     is_mean : ndarray of bool, shape (m,)
     walk_s2 : ndarray, shape (m,), optional
         What a walk of density 1/f^2 comes to on each but a mean [s^2]; left out: that of endless windows.
+    gains : ndarray, shape (2, m, m), optional
+        Covariance that gains of the x and of the y pick-off bring, each with a floor of density 1/f [V^2/s]; left out: not heard.
     """
 
     frequency_hz: FloatArray
@@ -51,12 +59,14 @@ class Lines:
     scale: float
     is_mean: NDArray[np.bool_]
     walk_s2: FloatArray | None = None
+    gains: FloatArray | None = None
 
     def basis(self) -> FloatArray:
-        """Densities of the four terms, shape (m, 4): white, flicker, pick-off, walk."""
+        """Densities of the terms, shape (m, 4): white, flicker, pick-off, walk; or (m, 6), with gains of x and y."""
         f = self.frequency_hz
         walk = f**-2.0 if self.walk_s2 is None else np.where(self.is_mean, f**-2.0, self.walk_s2)
-        return np.column_stack([np.full(f.size, self.scale), self.scale / f, self.slope_hz2, self.scale * walk])
+        heard = () if self.gains is None else np.diagonal(self.gains, axis1=1, axis2=2)
+        return np.column_stack([np.full(f.size, self.scale), self.scale / f, self.slope_hz2, self.scale * walk, *heard])
 
 
 class Grams(NamedTuple):
@@ -68,17 +78,25 @@ class Grams(NamedTuple):
 
 @dataclass(frozen=True)
 class NoiseLaw:
-    """Coefficients of white, flicker, pick-off, walk; ``mean``: what repeated records differ by at their mean beyond that."""
+    """Coefficients of white, flicker, pick-off, walk; ``mean``: what repeated records differ by at their mean beyond that; ``gains``: the
+    floors of both pick-offs' gains at 1 Hz [1/Hz].
+    """
 
     coefficients: tuple[float, float, float, float]
     mean: float = 0.0
+    gains: tuple[float, float] = (0.0, 0.0)
 
     def density(self, lines: Lines) -> FloatArray:
         """Density on each test function."""
-        return np.asarray(lines.basis() @ np.array(self.coefficients) + self.mean * lines.scale * lines.is_mean)
+        basis = lines.basis()
+        known = np.array((*self.coefficients, *self.gains))[: basis.shape[1]]
+        return np.asarray(basis @ known + self.mean * lines.scale * lines.is_mean)
 
     def covariance(self, lines: Lines, grams: Grams) -> FloatArray:
-        """Covariance, shape (m, m): of a walk that ``lines`` know as ``grams`` has it, of all else correlated as white noise is."""
+        """Covariance, shape (m, m): of a walk and of gains as ``lines`` know it, of all else correlated as white noise is."""
+        if lines.gains is not None and any(self.gains):
+            rest = replace(self, gains=(0.0, 0.0)).covariance(replace(lines, gains=None), grams)
+            return np.asarray(rest + np.tensordot(np.array(self.gains), lines.gains, axes=1))
         densities = self.density(lines)
         if lines.walk_s2 is None:
             sd = np.sqrt(densities)
@@ -94,7 +112,7 @@ class NoiseLaw:
     def slow_part(self) -> NoiseLaw:
         """What of the noise goes on from record to record: flicker, walk, and what means differ by."""
         _, flicker, _, walk = self.coefficients
-        return replace(self, coefficients=(0.0, flicker, 0.0, walk))
+        return replace(self, coefficients=(0.0, flicker, 0.0, walk), gains=(0.0, 0.0))
 
     def slow(self, lines: Lines) -> FloatArray:
         """Density of the slow part."""
@@ -103,12 +121,15 @@ class NoiseLaw:
     def times(self, factor: float) -> NoiseLaw:
         """The law of a noise that is so much larger in power."""
         white, flicker, pickoff, walk = (factor * c for c in self.coefficients)
-        return NoiseLaw((white, flicker, pickoff, walk), factor * self.mean)
+        return NoiseLaw((white, flicker, pickoff, walk), factor * self.mean, self._gains_times(factor))
 
     def floor(self, share: float) -> NoiseLaw:
         """A share of what is not slow: neither flicker nor walk, which an effect looks like."""
         white, _, pickoff, _ = self.coefficients
-        return NoiseLaw((share * white, 0.0, share * pickoff, 0.0))
+        return NoiseLaw((share * white, 0.0, share * pickoff, 0.0), gains=self._gains_times(share))
+
+    def _gains_times(self, factor: float) -> tuple[float, float]:
+        return factor * self.gains[0], factor * self.gains[1]
 
     def at_most(self, term: int, limit: float) -> NoiseLaw:
         """The law with one of its terms no larger than that."""
@@ -118,15 +139,18 @@ class NoiseLaw:
     def not_below(self, other: NoiseLaw) -> NoiseLaw:
         """Term by term the larger one."""
         white, flicker, pickoff, walk = (max(a, b) for a, b in zip(self.coefficients, other.coefficients, strict=True))
-        return NoiseLaw((white, flicker, pickoff, walk), max(self.mean, other.mean))
+        gains = max(self.gains[0], other.gains[0]), max(self.gains[1], other.gains[1])
+        return NoiseLaw((white, flicker, pickoff, walk), max(self.mean, other.mean), gains)
 
 
-def fit_law(basis: FloatArray, squares: FloatArray, *, slow: bool = True, capped: bool = True) -> NoiseLaw:
+def fit_law(
+    basis: FloatArray, squares: FloatArray, *, slow: bool = True, capped: bool = True, gains: tuple[float, float] = (0.0, 0.0)
+) -> NoiseLaw:
     """Non-negative coefficients by the Whittle likelihood; a term beyond white is kept only when the data ask for it.
 
     Parameters
     ----------
-    basis : ndarray, shape (n, 4)
+    basis : ndarray, shape (n, 4) or (n, 6)
         From :meth:`Lines.basis`.
     squares : ndarray, shape (n,)
         Squared projections, each chi-square with one degree of freedom.
@@ -134,18 +158,54 @@ def fit_law(basis: FloatArray, squares: FloatArray, *, slow: bool = True, capped
         Whether there may be flicker and walk.
     capped : bool
         Whether what is far above its neighbours' median is an outlier; the end of a steep spectrum is, too.
+    gains : tuple of float
+        Floors of the pick-offs' gains, known.
     """
-    squares = _without_outliers(basis[:, 2], squares) if capped else squares
+    known = basis[:, 4:] @ np.array(gains)[: basis.shape[1] - 4]
+    if capped:
+        # records on an axis whose gain has no floor are no measure of the others
+        loud = 1.0 + known / max(float(np.median(squares)), 1e-300)
+        squares = loud * _without_outliers(basis[:, 2], squares / loud)
     best, best_score = np.zeros(4), np.inf
     for terms in _TERMS if slow else _FAST_TERMS:
         coefficients = np.zeros(4)
-        coefficients[list(terms)] = _whittle(basis[:, terms], squares)
-        expected = np.maximum(basis @ coefficients, 1e-300)
-        score = float(np.sum(np.log(expected) + squares / expected)) + len(terms) * (np.log(squares.size) + _EXTRA_TERM)
+        coefficients[list(terms)] = _whittle(basis[:, terms], squares, known)
+        score = _surprise(known + basis[:, :4] @ coefficients, squares) + len(terms) * (np.log(squares.size) + _EXTRA_TERM)
         if score < best_score:
             best, best_score = coefficients, score
     white, flicker, pickoff, walk = map(float, best)
-    return NoiseLaw((white, flicker, pickoff, walk))
+    return NoiseLaw((white, flicker, pickoff, walk), gains=gains)
+
+
+def gain_floors(kinds: Sequence[tuple[Sequence[FloatArray], Sequence[FloatArray]]]) -> tuple[float, float]:
+    """Floors of both pick-offs' gains [1/Hz], of one size in all kinds of recordings, each with its own white and pick-off noise.
+
+    Parameters
+    ----------
+    kinds : sequence of (sequence of ndarray, sequence of ndarray)
+        Of each recording the basis, shape (n, 6), and the squares, shape (n,).
+    """
+    if not kinds:
+        return 0.0, 0.0
+    parts = [part for bases, found in kinds for part in zip(bases, found, strict=True)]
+    squares = np.concatenate([_without_outliers(basis[:, 2], found) for basis, found in parts if found.size])
+    whole = [np.concatenate(bases) for bases, _ in kinds]
+    own, heard = scipy.linalg.block_diag(*(basis[:, [WHITE, PICKOFF]] for basis in whole)), np.concatenate(whole)[:, 4:]
+    best, best_score = np.zeros(2), np.inf
+    for axes in ((), (0,), (1,), (0, 1)):
+        columns = np.hstack([own, heard[:, axes]])
+        found = _whittle(columns, squares)
+        score = _surprise(columns @ found, squares) + len(axes) * (np.log(squares.size) + _EXTRA_TERM)
+        if score < best_score:
+            best, best_score = np.zeros(2), score
+            best[list(axes)] = found[own.shape[1] :]
+    return float(best[0]), float(best[1])
+
+
+def _surprise(expected: FloatArray, squares: FloatArray) -> float:
+    """Twice the negative log likelihood, but for a constant."""
+    expected = np.maximum(expected, 1e-300)
+    return float(np.sum(np.log(expected) + squares / expected))
 
 
 def _without_outliers(order: FloatArray, squares: FloatArray) -> FloatArray:
@@ -161,16 +221,16 @@ def _without_outliers(order: FloatArray, squares: FloatArray) -> FloatArray:
     return capped
 
 
-def _whittle(basis: FloatArray, squares: FloatArray) -> FloatArray:
-    """Reweighted non-negative least squares; the fixed point maximises the likelihood."""
+def _whittle(basis: FloatArray, squares: FloatArray, known: FloatArray | float = 0.0) -> FloatArray:
+    """Reweighted non-negative least squares beside what is known; the fixed point maximises the likelihood."""
     size = np.maximum(basis.mean(axis=0), 1e-300)
     scaled = basis / size
     expected = np.full(squares.size, max(float(squares.mean()), 1e-300))
     found = np.zeros(basis.shape[1])
     for _ in range(_MOST_ROUNDS):
         before = found
-        found, _ = nnls(scaled / expected[:, None], squares / expected)
+        found, _ = nnls(scaled / expected[:, None], (squares - known) / expected)
         if np.all(np.abs(found - before) <= _SETTLED * (before + found.max(initial=0.0))):
             break
-        expected = np.maximum(scaled @ found, 1e-6 * float(squares.mean()) + 1e-300)
+        expected = np.maximum(scaled @ found + known, 1e-6 * float(squares.mean()) + 1e-300)
     return np.asarray(found / size)

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from ..estimation.projection import moving_reference, test_functions
@@ -281,6 +282,20 @@ class Projector:
             )
             parts.append(s.row_s * operator.reshape(len(self.value), -1))
         return np.concatenate(parts)
+
+    def gain_floors(self, turn: complex) -> FloatArray:
+        """Covariance [V^2/s] that a 1/f floor of either pick-off's gain brings to the equations' real parts, shape (2, 2 m, 2 m).
+
+        Of density 1/f from one half-cosine over the record on: what is slower is the campaign's.
+        """
+        s = self.signals
+        frequency_hz = np.arange(1, s.time_s.size) / (2.0 * s.row_s * s.time_s.size)
+        found = []
+        for axis in range(2):
+            heard = np.real(turn * self._through_flow[:, axis::2] * s.pick[None, :, axis])
+            spectrum = scipy.fft.dct(heard, norm="ortho", axis=1)[:, 1:] / np.sqrt(2.0 * s.row_s * frequency_hz)
+            found.append(spectrum @ spectrum.T)
+        return np.stack(found)
 
     def plain(self, signals: Sequence[ComplexArray]) -> ComplexArray:
         """Projections of what is added to p'."""
