@@ -61,6 +61,8 @@ _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
 _SENSOR_LAG_S, _GRADIENT_LAG_S = 0.1, 0.3
 #: modes in which a drive is switched within a recording, and over its median change a step
 SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
+#: rows of one step lie within that time [s]; more steps than this in a recording are noise
+_TOGETHER_S, _MOST_STEPS = 0.05, 12
 #: temperature's span over a campaign from which on a healthy device's coefficients are allowed for [K]
 NOTICED_K = 0.02
 
@@ -82,24 +84,34 @@ def _blurred_records(evidence: CampaignEvidence, linear: Linear) -> list[Column]
 def _kicks(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """A drive that steps kicks the wave by its part at twice the carrier, ``conj(G du) / 2 omega`` turned by the carrier's phase then.
 
-    No envelope holds that phase: a complex unknown for each recording in which a drive was switched.
+    No envelope holds that phase, and it is another at every step: a complex unknown for each time that a drive was switched.
     """
     columns = []
     for r in evidence:
         s = r.signals
+        if r.recording.command.mode not in SWITCHED:
+            continue
         step = np.diff(s.drive, axis=0, prepend=s.drive[:1])
         size = np.linalg.norm(step, axis=1)
-        step[size < _ABRUPT * np.median(size)] = 0.0
-        if r.recording.command.mode not in SWITCHED or not np.any(step):
-            continue
-        kick = (step @ linear.G.T).conj() / (2.0 * evidence.omega0_rad_s * s.row_s)
-        sides = []
-        for place in (SIGNAL, QUIET):
-            kicked = r.turn * place.projector(r).plain([kick])[:, 0]
-            sides.append([kicked if o is r else np.zeros_like((o.quiet if place.quiet else o.signal).lhs) for o in evidence])
-        for name, turn in (("re", 1.0), ("im", 1j)):
-            columns.append(Column(f"kick_{r.index}_{name}", tuple(turn * v for v in sides[0]), tuple(turn * v for v in sides[1]), 1.0))
+        for event, rows in enumerate(_times_of(size > _ABRUPT * np.median(size), _TOGETHER_S / s.row_s)):
+            at_once = np.zeros_like(step)
+            at_once[rows] = step[rows]
+            kick = (at_once @ linear.G.T).conj() / (2.0 * evidence.omega0_rad_s * s.row_s)
+            sides = []
+            for place in (SIGNAL, QUIET):
+                kicked = r.turn * place.projector(r).plain([kick])[:, 0]
+                sides.append([kicked if o is r else np.zeros_like((o.quiet if place.quiet else o.signal).lhs) for o in evidence])
+            for name, turn in (("re", 1.0), ("im", 1j)):
+                label = f"kick_{r.index}_{event}_{name}"
+                columns.append(Column(label, tuple(turn * v for v in sides[0]), tuple(turn * v for v in sides[1]), 1.0))
     return columns
+
+
+def _times_of(abrupt: NDArray[np.bool_], apart: float) -> list[NDArray[np.int_]]:
+    """Rows of each time that something was abrupt, ``apart`` rows or more from the last; of one time where there are too many to tell."""
+    rows = np.flatnonzero(abrupt)
+    times = np.split(rows, np.flatnonzero(np.diff(rows) > apart) + 1) if rows.size else []
+    return times if len(times) <= _MOST_STEPS else [rows]
 
 
 def _blurred_temperature(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
