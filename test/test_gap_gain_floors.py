@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from table_samples import looked_at
 
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.noise_law import NoiseLaw, fit_law, gain_floors
+from gyro_calib.gap.noise_law import NoiseLaw, beside_floors, fit_law, gain_floors
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.trial.plans import campaign_plan
@@ -119,3 +119,17 @@ def test_a_law_with_gains_is_scaled_and_bounded_as_a_whole() -> None:
     assert law.floor(0.5).gains == (3.0, 3.5)
     assert law.slow_part.gains == (0.0, 0.0), "it goes on from record to record as the slow drifts do"
     assert law.not_below(NoiseLaw((0.0, 0.0, 0.0, 0.0), gains=(1.0, 9.0))).gains == (6.0, 9.0)
+
+
+def test_beside_a_floor_a_kind_has_noise_of_its_own_as_the_others_have() -> None:
+    """Ring-ups without any of it left directions without noise: three rounds of the measurement returned to the first."""
+    floor = (0.0, FLOOR**2)
+    laws = {
+        k: NoiseLaw((white, 0.0, pickoff, 0.0), gains=floor)
+        for k, (white, pickoff) in enumerate(((1e-12, 2e-12), (3e-12, 0.0), (0.0, 0.0)))
+    }
+    laws[3] = NoiseLaw((0.0, 0.0, 0.0, 0.0))
+    found = beside_floors(laws)
+    assert found[2].coefficients == pytest.approx((0.3 * 2e-12, 0.0, 0.3 * 2e-12, 0.0))
+    assert found[0].coefficients == laws[0].coefficients
+    assert found[3] == laws[3], "of a channel that hears no floor nothing is known of it"

@@ -123,6 +123,14 @@ class RecordingEvidence:
         return mode if self.recording.command.oscillator_axis else "precession"
 
     @property
+    def condition(self) -> tuple[object, ...]:
+        """Records of one condition repeat one another at their mean: the side band of an excitation does not reach it."""
+        setpoints = self.recording.command.setpoints
+        azimuth = round(float(np.angle(complex(*np.abs(self.signals.pick[:50]).mean(axis=0)))), 1)
+        volts = round(setpoints.virtual_precession_v, 6)
+        return (self.role, round(setpoints.amplitude_v, 6), volts, azimuth, setpoints.rebalance, round(self.recording.duration_s, 1))
+
+    @property
     def is_warming(self) -> bool:
         """Whether the temperature moved: its sensor's noise and lag are then in the frequency."""
         return bool(np.ptp(self.signals.temperature_k) > WARMING_K)

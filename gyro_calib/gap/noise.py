@@ -21,7 +21,7 @@ from ..recording.applied_rate import is_turned
 from .column import Column
 from .evidence import CHANNELS, STEADY, WARMING, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
-from .noise_law import PICKOFF, WHITE, NoiseLaw, fit_law, gain_floors
+from .noise_law import PICKOFF, WHITE, NoiseLaw, beside_floors, fit_law, gain_floors
 from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Stack, Whitener, solve
 
@@ -213,6 +213,7 @@ def _squares(
     basis: Bases = defaultdict(list)
     squares: Bases = defaultdict(list)
     freedom = np.clip(1.0 - np.sum(solution.basis**2, axis=1), 1e-9, 1.0)
+    whitener = Whitener.of(evidence, noise)
     left = [q - columns @ solution.values for q, columns in zip(quiet, stack.quiet, strict=True)]
     for k, r, part, side, channel, rows in _parts(evidence):
         if not wanted(r):
@@ -220,7 +221,12 @@ def _squares(
         key, lines = r.noise_key(channel), r.lines(channel)
         kept = freedom[rows] > _LEAST_FREEDOM
         basis[key].append(lines.basis()[kept])
-        squares[key].append((solution.residual[rows] ** 2 * noise[key].density(lines) / freedom[rows])[kept])
+        found, free = solution.residual[rows] ** 2 * noise[key].density(lines), freedom[rows]
+        if lines.gains is not None:
+            # far from white: what a line has beyond what the others say is no measure of its density
+            factor = whitener.channel(k, part, side)
+            found, free = (factor @ solution.residual[rows]) ** 2, factor**2 @ free / np.sum(factor**2, axis=1)
+        squares[key].append((found / free)[kept])
         if r.recording.command.mode in _FALLING:
             continue  # what rises or decays has something at every line
         count = left[k].size // 2
@@ -235,19 +241,20 @@ def _from_residuals(
 ) -> NoiseByRole:
     basis, squares = _squares(evidence, stack, solution, noise, quiet)
     # an open drive is as steady as its generator, and where its resonance lay is a nuisance of its own: what is slow there is no noise
-    waves = {r.role for r in evidence if r.is_wave}
-    steady = {r.noise_key(channel) for r in evidence if r.role not in waves for channel in CHANNELS}
-    # a kind that the model follows at every line tells nothing of its noise: as it was believed
-    told = [key for key in basis if sum(len(s) for s in squares[key])]
+    steady = {r.noise_key(channel) for r in evidence if not r.is_wave for channel in CHANNELS}
+    told = [key for key in basis if sum(len(s) for s in squares[key])]  # else the model follows it at every line: as it was believed
     gains = gain_floors([(basis[key], squares[key]) for key in told if basis[key][0].shape[1] > _PLAIN_TERMS])
-    fitted = {key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady, gains=gains) for key in told}
-    found = {key: fitted.get(key, noise[key]) for key in basis}
+    fitted = {}
+    for key in told:
+        heard = gains if basis[key][0].shape[1] > _PLAIN_TERMS else (0.0, 0.0)
+        fitted[key] = fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady, gains=heard)
+    found = beside_floors({key: fitted.get(key, noise[key]) for key in basis})
     parents = {r.role: r.parent_role for r in evidence}
     out = {}
     for (role, channel), law in found.items():
-        parent = found.get((parents.get(role, role), channel))
-        known = sum(len(s) for s in squares[role, channel]) >= _FEWEST_SQUARES
-        out[role, channel] = law if parent is None or parent is law or known else law.not_below(parent)
+        parent = found.get((parents.get(role, role), channel), law)
+        known = parent is law or sum(len(s) for s in squares[role, channel]) >= _FEWEST_SQUARES
+        out[role, channel] = law if known else law.not_below(parent)
     return out
 
 
@@ -361,7 +368,7 @@ def _repeated(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole
     for _, r, _, _, channel, rows in _parts(evidence):
         plain = r.is_wave and not r.is_warming and not is_turned(r.recording)
         if plain and r.lines(channel).is_mean[0] and channel != "frequency":
-            condition = (*_condition(r), channel)
+            condition = (*r.condition, channel)
             groups[condition].append(rows)
             of_group[condition] = r.noise_key(channel), float(noise[r.noise_key(channel)].density(r.lines(channel))[0])
     found: dict[Key, tuple[float, float, float]] = {}
@@ -374,14 +381,6 @@ def _repeated(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole
         before = found.get(key, (0.0, 0.0, density))
         found[key] = (before[0] + square, before[1] + free, before[2])
     return found
-
-
-def _condition(r: RecordingEvidence) -> tuple[object, ...]:
-    """Records of one condition repeat one another at their mean: the side band of an excitation does not reach it."""
-    setpoints = r.recording.command.setpoints
-    azimuth = round(float(np.angle(complex(*np.abs(r.signals.pick[:50]).mean(axis=0)))), 1)
-    volts = round(setpoints.virtual_precession_v, 6)
-    return (r.role, round(setpoints.amplitude_v, 6), volts, azimuth, setpoints.rebalance, round(r.recording.duration_s, 1))
 
 
 def _raised_to_what_is_left(evidence: CampaignEvidence, solution: Solution, noise: NoiseByRole) -> tuple[NoiseByRole, Excess]:

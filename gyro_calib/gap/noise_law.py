@@ -11,22 +11,25 @@ is quiet twice in a turn. Taken for white, that floor hides what is small and sl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-__all__ = ["PICKOFF", "WHITE", "Grams", "Lines", "NoiseLaw", "fit_law", "gain_floors"]
+__all__ = ["PICKOFF", "WHITE", "Grams", "Lines", "NoiseLaw", "beside_floors", "fit_law", "gain_floors"]
 
 FloatArray = NDArray[np.float64]
+Key = TypeVar("Key")
 #: what a further term must gain beyond the information criterion, twice the log likelihood: strong evidence
 _EXTRA_TERM = 6.0
 #: neighbours whose median tells what is an outlier; cap over their mean; median of chi-square with one degree of freedom
 _NEIGHBOURS, _CAP, _MEDIAN = 41, 9.0, 0.455
+#: noise of its own that a kind has beside a floor of gains, over the median kind's
+_OWN_SHARE = 0.3
 #: places of two terms among the coefficients
 WHITE, PICKOFF = 0, 2
 _TERMS = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3))
@@ -200,6 +203,20 @@ def gain_floors(kinds: Sequence[tuple[Sequence[FloatArray], Sequence[FloatArray]
             best, best_score = np.zeros(2), score
             best[list(axes)] = found[own.shape[1] :]
     return float(best[0]), float(best[1])
+
+
+def beside_floors(laws: Mapping[Key, NoiseLaw]) -> dict[Key, NoiseLaw]:
+    """Laws of kinds beside floors of gains: each with white and pick-off noise of its own, at least a share of the median kind's.
+
+    A floor alone leaves directions without noise, a fit that meets them is wrong by anything, and the next one finds no floor.
+    """
+    out = dict(laws)
+    for term in (WHITE, PICKOFF):
+        sizes = [law.coefficients[term] for law in laws.values() if any(law.gains) and law.coefficients[term] > 0.0]
+        least = _OWN_SHARE * float(np.median(sizes)) if sizes else 0.0
+        own = NoiseLaw((least, 0.0, 0.0, 0.0) if term == WHITE else (0.0, 0.0, least, 0.0))
+        out = {key: law.not_below(own) if any(law.gains) else law for key, law in out.items()}
+    return out
 
 
 def _surprise(expected: FloatArray, squares: FloatArray) -> float:

@@ -73,6 +73,13 @@ class Whitener:
             factors.append((pair[0], pair[1]))
         return cls(tuple(factors))
 
+    def channel(self, recording: int, part: int, side: int) -> FloatArray:
+        """Factor of one channel of a recording: real or imaginary ``part``, along or across."""
+        whole = self.factors[recording][part]
+        count = len(whole) // 2
+        rows = slice(side * count, (side + 1) * count)
+        return whole[rows, rows]
+
     def rows(self, by_recording: Sequence[ComplexArray]) -> FloatArray:
         """Whitened real rows of vectors (m,) or matrices (m, k), recordings one below the other."""
         parts = []
