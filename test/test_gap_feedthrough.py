@@ -49,7 +49,11 @@ def of_the_reference(r: Recording) -> ComplexArray:
 
 @pytest.mark.parametrize(
     ("share", "volts", "form"),
-    [(3e-4, moved, "|p|^2 u, p the motion, u the drives"), (5e-4, bent, "u the drives"), (3e-4, of_the_reference, "a constant")],
+    [
+        (3e-4, moved, "|p|^2 u, p the motion, u the drives"),
+        pytest.param(5e-4, bent, "u the drives", marks=pytest.mark.slow),
+        pytest.param(3e-4, of_the_reference, "a constant", marks=pytest.mark.slow),
+    ],
     ids=["a stray capacitance that moves", "a varactor", "the reference, of any phase"],
 )
 def test_what_feeds_through_out_of_proportion_is_unknown(share: float, volts: object, form: str) -> None:
