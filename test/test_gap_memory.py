@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from gyro_calib.gap.evidence import CampaignEvidence
 from gyro_calib.gap.forms import FORMS
-from gyro_calib.gap.memory import remembered
+from gyro_calib.gap.memory import behind, remembered
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.recording.columns import COLUMNS
@@ -107,3 +108,23 @@ def test_the_lag_of_a_thermometer_spans_recordings() -> None:
     # the resonator is still colder than its sensor when the temperature has come to rest: silicon, so its frequency is higher
     late = (parts[0].signal[:, 0] / signals[2].pick[:, 0]).imag
     assert late[0] > 4.0 > late[-1] > 0.0
+
+
+def warmed(after_degc: float) -> list[Recording]:
+    """A recording that ends ten kelvins warmer, another two seconds later, and one that comes from there."""
+    ends = ((25.0, 35.0), (after_degc, after_degc), (after_degc, after_degc))
+    return [s.recording for s in chain(ends)]
+
+
+@pytest.mark.parametrize(("after_degc", "follows"), [(25.0, False), (34.0, True), (35.0, True)])
+def test_a_chamber_that_went_back_while_the_clock_stood_leaves_no_memory(after_degc: float, follows: bool) -> None:
+    """Ten kelvins in two seconds where the ramp took six: the practice campaigns do so. A kelvin is what it may have lost meanwhile."""
+    evidence = CampaignEvidence.of(warmed(after_degc), 1.5)
+    first, second, third = (r.signals for r in evidence)
+    assert (second.before is first) is follows
+    assert third.before is second
+    late_k = behind(second, 3.0)[:, 0].real
+    if follows:
+        assert abs(late_k[0]) > 0.5
+    else:
+        np.testing.assert_allclose(late_k, 0.0, atol=1e-9)

@@ -10,7 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.forms import FORMS, _clipped
+from gyro_calib.gap.forms import FORMS
+from gyro_calib.gap.levels import clipped
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import _ROUGH_SHARES
@@ -29,10 +30,10 @@ def test_some_level_of_the_grid_has_a_share_that_a_level_can_have(beyond: float)
     """Noise makes one recording's amplitude the largest: what lies beyond a level changes faster than its distance from that one."""
     amplitudes = np.array([*[0.7] * 40, *[1.0 - 9e-5] * 40, 1.0])
     recorded = [SimpleNamespace(pick=np.full((200, 2), a, dtype=complex)) for a in amplitudes]
-    true = _clipped(amplitudes.astype(complex), 1.0 - beyond)
+    true = clipped(amplitudes.astype(complex), 1.0 - beyond)
     shares = []
     for setting in FORMS["pickoff_saturation"].settings(recorded):  # type: ignore[arg-type]
-        form = _clipped(amplitudes.astype(complex), setting["level"])
+        form = clipped(amplitudes.astype(complex), setting["level"])
         if np.any(form):
             shares.append(float((form.conj() @ true).real / (form.conj() @ form).real))
     low, high = _ROUGH_SHARES

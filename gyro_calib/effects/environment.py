@@ -185,7 +185,14 @@ MOTION = (
         (signed("k", "rad/s/(rad/s)^2", 0.01, 100.0, "frequency per rate squared"),),
         ("rate",), BOTH,
         "p' += i k Omega^2 p",
-        ("rate_nonlinearity",),
+        ("rate_nonlinearity", "centrifugal_stiffness_axes"),
+    ),
+    Effect(
+        "centrifugal_stiffness_axes", "Stiffness that changes with the square of the rate, by axis", "environment", (40,),
+        pair("k_x k_y", "rad/s/(rad/s)^2", 0.01, 100.0, "frequency of a wave on the axis per rate squared"),
+        ("rate",), BOTH,
+        "p_j' += i k_j Omega^2 p_j",
+        ("centrifugal_stiffness", "thermal_split_lag"),
     ),
     Effect(
         "rate_dependent_damping", "Damping that changes with the rate", "environment", (42,),

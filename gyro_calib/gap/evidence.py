@@ -31,6 +31,9 @@ ComplexArray = NDArray[np.complex128]
 CHANNELS = ("amplitude", "frequency", "precession", "quadrature")
 #: effective frequency of a record's mean over one by its duration; of the mean of a wave's frequency, which walks by a nuisance of its own
 MEAN_LINE, OWN_MEAN_LINE = 0.3, 10.0
+#: over which the pace of a temperature is read [s]; what it may jump between two recordings [K], and how much faster it may go there than
+#: it ever went in one: a clock that stood while a chamber went back tells no memory of the recording before
+_SLOPE_S, _STEP_K, _TIMES_FASTER = 1.0, 0.5, 2.0
 #: keys of the noise of a wave's frequency, of which a temperature moves and of which none does
 STEADY, WARMING = ("wave", "frequency"), ("wave, warming", "frequency")
 
@@ -169,8 +172,11 @@ class CampaignEvidence:
         omega0 = float(np.median([np.median(r.ref_omega_rad_s) for r in closed]))
         start = min(float(r.t[0]) for r in recordings)
         found: dict[int, RecordingEvidence] = {}
+        fastest = max(_fastest(r) for r in recordings)
         before: Signals | None = None
         for i in np.argsort([float(r.t[0]) for r in recordings], kind="stable"):
+            if before is not None and not _follows(before.recording, recordings[i], fastest):
+                before = None
             found[int(i)] = _evidence(int(i), recordings[i], omega0, decay_rate, temperature, start, before)
             before = found[int(i)].signals
         return cls(tuple(found[i] for i in range(len(recordings))), omega0, decay_rate, temperature)
@@ -193,6 +199,19 @@ class CampaignEvidence:
     def turns(self) -> bool:
         """Whether the wave of any recording turned by half a turn of psi or more."""
         return any(r.signal.turn_rad > math.pi for r in self.recordings)
+
+
+def _fastest(r: Recording) -> float:
+    """How fast the temperature of a recording went at most [K/s], over a second."""
+    rows = max(1, round(_SLOPE_S * r.sample_rate_hz))
+    kelvins = smooth_temperature(r)
+    return float(np.abs(kelvins[rows:] - kelvins[:-rows]).max(initial=0.0)) / _SLOPE_S
+
+
+def _follows(before: Recording, after: Recording, fastest_k_s: float) -> bool:
+    """Whether the clock ran on between two recordings; not where the device was brought to another temperature faster than it can be."""
+    jump = abs(float(smooth_temperature(after)[0] - smooth_temperature(before)[-1]))
+    return jump < _STEP_K + _TIMES_FASTER * fastest_k_s * max(float(after.t[0] - before.t[-1]), 0.0)
 
 
 def _evidence(

@@ -41,7 +41,8 @@ class ExactLevel:
 def best_exact_level(model: CampaignModel) -> ExactLevel | None:
     """The effect and level that leave least; nothing when no level was tried."""
     rest = Screener(model.whitener, [c for c in model.nuisances if not _is_gain(c)], model.target)
-    tried = [(name, float(candidate.setting["level"])) for name in _EFFECTS for candidate in model.candidates.get(name, ())]
+    candidates = [(name, c) for name in _EFFECTS for c in model.candidates.get(name, ()) if "level" in c.setting]
+    tried = [(name, float(c.setting["level"])) for name, c in candidates]
     if not tried:
         return None
     least, (name, level) = min((_left(model, rest, *at), at) for at in tried)

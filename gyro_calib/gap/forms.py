@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .memory import remembered
+from .levels import clipped, dead_drive, dead_settings, limit_settings
+from .memory import behind, remembered
 from .own_modes import mode_parts, modes
 from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, one_axis, read_at_once, turned
 from .signals import Signals
 
-__all__ = ["AT_REST", "FORMS", "behind", "conjugate_product", "cube"]
+__all__ = ["AT_REST", "FORMS", "conjugate_product", "cube"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -39,10 +39,6 @@ _CROSSED = ("mixed", "late")
 _STEP = 1e-4
 #: share of the wave below which an axis rests
 AT_REST = 3e-3
-_LIMITS = 1.0 - np.concatenate([[0.6, 0.45, 0.33, 0.25, 0.18, 0.13, 0.09, 0.06, 0.04], np.geomspace(0.025, 8e-5, 12)])
-_COARSE = np.geomspace(0.4, 4.0, 10)
-#: a dead zone that is small against the drive acts in proportion to its level: a coarse grid tells it
-_DEAD = np.concatenate([[2e-6, 8e-6, 3e-5], np.geomspace(1e-4, 0.4, 14)])
 
 
 def cube(x: ComplexArray) -> ComplexArray:
@@ -115,28 +111,6 @@ def _lag(s: Signals, x: ComplexArray) -> ComplexArray:
     return np.asarray(-np.gradient(x, s.row_s, axis=0))
 
 
-def _clipped(x: ComplexArray, level: float) -> ComplexArray:
-    """Fundamental of a clipped sine less the sine: describing function of a limiter."""
-    r = np.minimum(level / np.maximum(np.abs(x), 1e-300), 1.0)
-    return np.asarray(x * (2.0 / np.pi * (np.arcsin(r) + r * np.sqrt(1.0 - r**2)) - 1.0))
-
-
-def _dead(x: ComplexArray, level: float) -> ComplexArray:
-    """Fundamental behind a dead zone less the sine: a dead zone passes what a limiter takes away."""
-    return np.asarray(-(x + _clipped(x, level)))
-
-
-def _levels(of: Literal["pick", "drive"], shares: FloatArray) -> Callable[[list[Signals]], list[Setting]]:
-    """Levels that are shares of the largest amplitude of any axis: of all recordings, and of those in which drives were not wound up."""
-
-    def settings(signals: list[Signals]) -> list[Setting]:
-        peaks = np.array([float(np.quantile(np.abs(getattr(s, of)), 0.998)) for s in signals])
-        levels = np.concatenate([peaks.max() * shares, float(np.median(peaks)) * _COARSE])
-        return [{"level": float(level)} for level in np.unique(levels)]
-
-    return settings
-
-
 def _times(low: float, high: float, count: int) -> Callable[[list[Signals]], list[Setting]]:
     return lambda signals: [{"tau": float(tau)} for tau in np.geomspace(low, high, count)]
 
@@ -144,10 +118,6 @@ def _times(low: float, high: float, count: int) -> Callable[[list[Signals]], lis
 def _campaign_times(signals: list[Signals]) -> list[Setting]:
     span = max(float(s.time_s[-1]) for s in signals)
     return [{"tau": float(tau)} for tau in span * np.array([0.05, 0.15, 0.4, 1.0])]
-
-
-def _temperature(s: Signals) -> ComplexArray:
-    return s.temperature_k[:, None].astype(np.complex128)
 
 
 def _reading(s: Signals) -> ComplexArray:
@@ -162,11 +132,6 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         return [Part("share", "flow", 1j * d.frequency_slope_rad_s_k * late * _motion(s, d))]
     slope = np.gradient(s.reading_k, s.row_s)[:, None]
     return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
-
-
-def behind(s: Signals, tau_s: float) -> ComplexArray:
-    """By how much the temperature is ahead of itself through a low-pass [K], shape (n, 1)."""
-    return s.once(("behind", tau_s), None, lambda: np.asarray(_temperature(s) - remembered(s, _temperature, tau_s, steady=False)))
 
 
 def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -250,6 +215,11 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 def _stiffness(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
     return Form(lambda s, d, g: [Part(parameter, "flow", 1j * x(s)[:, None] * _motion(s, d))])
+
+
+def _centrifugal(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    pulled = 1j * s.rate_rad_s[:, None] ** 2 * _motion(s, d)
+    return _by_axis("flow", "k", pulled) if setting["axes"] else [Part("k", "flow", pulled)]
 
 
 def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
@@ -351,8 +321,8 @@ FORMS: dict[str, Form] = {
     "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
     "drive_stiffness": Form(_softened),
     "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
-    "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", _clipped(s.drive, g["level"]))], _levels("drive", _LIMITS)),
-    "drive_dead_zone": Form(lambda s, d, g: [Part("share", "drive", _dead(s.drive, g["level"]))], _levels("drive", _DEAD)),
+    "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", clipped(s.drive, g["level"]))], limit_settings("drive")),
+    "drive_dead_zone": Form(dead_drive, dead_settings),
     "drive_lag": Form(lambda s, d, g: [Part("tau", "drive", _lag(s, s.drive))]),
     "drive_delay": Form(_driven_late),
     "drive_memory": Form(lambda s, d, g: [Part("share", "drive", remembered(s, lambda of: of.drive, g["tau"]))], _times(0.05, 5.0, 5)),
@@ -360,7 +330,7 @@ FORMS: dict[str, Form] = {
     "pickoff_nonlinearity": _read_by_axis("c", lambda s, v: cube(v)),
     "pickoff_amplitude_phase": _read_by_axis("c", lambda s, v: 1j * cube(v)),
     "pickoff_cross_nonlinearity": Form(lambda s, d, g: [read_at_once("c", s, d, lambda v: _swapped(cube(v)))]),
-    "pickoff_saturation": Form(lambda s, d, g: [read_at_once("share", s, d, lambda v: _clipped(v, g["level"]))], _levels("pick", _LIMITS)),
+    "pickoff_saturation": Form(lambda s, d, g: [read_at_once("share", s, d, lambda v: clipped(v, g["level"]))], limit_settings("pick")),
     "pickoff_lag": Form(lambda s, d, g: [Part("tau", "output", _lag(s, s.pick))]),
     "pickoff_delay": Form(_delayed),
     "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", remembered(s, lambda of: of.pick, g["tau"]))], _times(0.05, 5.0, 5)),
@@ -389,7 +359,7 @@ FORMS: dict[str, Form] = {
     "drive_phase_drift": _scaled_drive("drive", "g", _late, 1j),
     "pickoff_gain_drift": _read_by_axis("g", lambda s, v: _late(s)[:, None] * v),
     "pickoff_phase_drift": _read_by_axis("g", lambda s, v: 1j * _late(s)[:, None] * v),
-    "centrifugal_stiffness": _stiffness("k", lambda s: s.rate_rad_s**2),
+    "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),
     "rate_dependent_damping": _damping("c", _rate),
     "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * turned(_motion(s, d)))]),
     "rate_nonlinearity": Form(

@@ -2,7 +2,8 @@
 
 A memory of seconds has not settled when a recording begins: it holds some of the setting before. Between two recordings what it remembers
 is taken to have been as the second begins (a command is given at once), and a wave that precesses then to have precessed before; a
-temperature to have gone straight from the one to the other.
+temperature to have gone straight from the one to the other. Where it would have had to go faster than it ever does, the clock stood between
+them, and the second begins settled: the practice campaigns are at 35 degC at the end of a warmed recording and at 25 degC a second later.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.signal import lfilter
 
 from .signals import Signals
 
-__all__ = ["remembered"]
+__all__ = ["behind", "remembered"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -58,8 +59,9 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
         rows = _rows(_END_S, here) if steady else 1
         first = _begun(x[:rows], here.row_s, speed)
         if state is None or earlier is None:
-            # the first that is known: settled to what it shows over its first time constant
-            start = _begun(x[: _rows(tau_s, here)], here.row_s, speed) / (1.0 + 1j * speed * tau_s)
+            # the first that is known: settled to what it shows over its first time constant, and what goes straight, to where it begins
+            known = _rows(tau_s if steady else _END_S, here)
+            start = _begun(x[:known], here.row_s, speed) / (1.0 + 1j * speed * tau_s)
         elif steady:
             start = _held(state, first, float(here.time_s[0]) - earlier[0], tau_s, speed)
         else:
@@ -67,6 +69,22 @@ def remembered(s: Signals, of: Callable[[Signals], ComplexArray], tau_s: float, 
         out = _low_pass(x, here.row_s, tau_s, start)
         state, earlier = out[-1], (float(here.time_s[-1]), x[-rows:].mean(axis=0))
     return out @ _AXES if turning else out
+
+
+def behind(s: Signals, tau_s: float) -> ComplexArray:
+    """By how much the temperature is ahead of itself through a low-pass [K], shape (n, 1).
+
+    Parameters
+    ----------
+    s : Signals
+    tau_s : float
+        Time constant [s].
+    """
+    return s.once(("behind", tau_s), None, lambda: np.asarray(_temperature(s) - remembered(s, _temperature, tau_s, steady=False)))
+
+
+def _temperature(s: Signals) -> ComplexArray:
+    return s.temperature_k[:, None].astype(np.complex128)
 
 
 def _speed(x: ComplexArray, row_s: float) -> FloatArray:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .forms import AT_REST, behind, conjugate_product
-from .memory import remembered
+from .forms import AT_REST, conjugate_product
+from .memory import behind, remembered
 from .parts import one_axis, turned
 from .signals import Signals
 

@@ -23,8 +23,8 @@ SLOW_EFFECTS = frozenset(
         "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
-        "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "rate_dependent_damping", "angular_gain_error",
-        "rate_nonlinearity", "rate_asymmetry",
+        "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "centrifugal_stiffness_axes", "rate_dependent_damping",
+        "angular_gain_error", "rate_nonlinearity", "rate_asymmetry",
     )
 )  # fmt: skip
 
@@ -96,6 +96,8 @@ class SlowEffects:
             charged = -np.expm1(-t / self._size("charge_accumulation", "tau"))
             same = same + self._size("charge_accumulation", "k_0") * charged
             split = split + self._pair("charge_accumulation", "k_c", "k_s", charged)
+        by_axis = self._pair("centrifugal_stiffness_axes", "k_x", "k_y", rate**2)
+        same, split = same + by_axis.mean(axis=1), split + np.outer(by_axis @ [0.5, -0.5], [1.0, 0.0])
         r = self._device.resonator
         same = same - r.frequency_tempco_per_k * r.omega0_rad_s * self._behind("thermal_lag", rise)
         return _symmetric(same, split)

@@ -130,7 +130,7 @@ def _undamped(model: CampaignModel, name: str, sizes: Mapping[str, float]) -> bo
 
 def _levelled(model: CampaignModel, name: str, snr: float) -> Sized | None:
     """A clipping or dead level, from a grid and by bisection between its points: the further it bites, the larger."""
-    grid = [s["level"] for s in FORMS[name].settings([r.signals for r in model.evidence])]
+    grid = [s["level"] for s in FORMS[name].settings([r.signals for r in model.evidence]) if "level" in s]
     # a drive that is dead up to its own amplitude moves nothing
     typical = float(np.median([np.abs(r.signals.drive).max() for r in model.evidence]))
     largest = _MOST_DEAD * typical if name == "drive_dead_zone" else max(grid)
