@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from ..effects import EFFECTS
 from ..quantity import Quantity
 from ..recording.recording import Recording
+from .converter_steps import ConverterSteps, converter_steps
 from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
 from .parts import Linear
@@ -18,7 +19,7 @@ from .tones import Tone, find_tone
 __all__ = ["SPECTRAL", "SpectralEffects", "spectral_effects"]
 
 #: effects that are found here
-SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise")
+SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise", "pickoff_quantisation")
 
 #: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
 _SIGMA = 6.0
@@ -27,8 +28,10 @@ _SEEN = _SIGMA + 1.28
 _SQUARES = 3.0
 #: probability of a finding that is as strong as it must be here
 _PROBABILITY = 0.95
-#: converters' steps: their noise is that of any floor, and says nothing of where it comes from
-_NOT_TESTABLE = ("pickoff_quantisation", "drive_quantisation")
+#: steps of the drives' converter: their noise is that of any floor, and the loops' own dithers them
+_NOT_TESTABLE = ("drive_quantisation",)
+#: gain in the slow flow that rounding without dither may have under any name: a hemisphere's at three times its noise had 40
+_ROUNDED = 300.0
 
 
 @dataclass(frozen=True)
@@ -75,10 +78,16 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     rippling = _rippling_gain(tone)
     if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
+    steps = converter_steps(recordings)
+    rounded = steps is not None and steps.undithered and "pickoff_quantisation" not in left_out
+    if steps is not None and rounded:
+        effects.append(_coarse_steps(steps))
     present = {e.name for e in effects}
     alike = {name: e.name for e in effects for name in e.group[1:]}
-    standings = [_standing(name, present, alike, growth, bool(spectra)) for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
+    names = [name for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
+    standings = [_standing(name, present, alike, growth, bool(spectra), _sampled(recordings)) for name in names]
     products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
+    products = max(products, _ROUNDED if rounded else 0.0)
     near = () if tone is None or tone.name != "external_tone" else near_line(recordings, tone.frequency_hz)
     return SpectralEffects(tuple(effects), rippling or _noisy_clock(growth), tuple(standings), products, near)
 
@@ -116,6 +125,26 @@ def _noisy_gain(growth: NoiseGrowth) -> FoundEffect:
     )
 
 
+def _coarse_steps(steps: ConverterSteps) -> FoundEffect:
+    effect = EFFECTS["pickoff_quantisation"]
+    return FoundEffect(
+        name=effect.name,
+        title=effect.title,
+        group=(effect.name,),
+        probability=_PROBABILITY,
+        parameters={"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, effect.parameter("lsb").unit)},
+        location=effect.location,
+        registry_name=effect.name,
+        gain=_SIGMA**2,
+        harmless=True,
+    )
+
+
+def _sampled(recordings: Sequence[Recording]) -> bool:
+    """Whether any recording holds samples of the pick-offs at the converter's rate."""
+    return any(channel in (r.raw or {}) for r in recordings for channel in ("x_pick", "y_pick"))
+
+
 def _rippling_gain(tone: Tone | None) -> Unknown | None:
     if tone is None or not tone.of_wave:
         return None
@@ -129,13 +158,15 @@ def _noisy_clock(growth: NoiseGrowth | None) -> Unknown | None:
     return Unknown("electronics", "in quadrature", "white noise in proportion to x", "amplitude", "amplitude_noise", growth.clock_sigma**2)
 
 
-def _standing(name: str, present: set[str], alike: dict[str, str], growth: NoiseGrowth | None, heard: bool) -> Standing:
+def _standing(name: str, present: set[str], alike: dict[str, str], growth: NoiseGrowth | None, heard: bool, sampled: bool) -> Standing:
     effect = EFFECTS[name]
     limit, status = None, "excluded"
     if name in present:
         status = "present"
     elif name in alike:
         status = f"like {alike[name]}"
+    elif name == "pickoff_quantisation":
+        status = "excluded" if sampled else "not testable"
     elif name in _NOT_TESTABLE or (name == "amplitude_noise" and growth is None) or not heard:
         status = "not testable"
     elif name == "amplitude_noise" and growth is not None:
