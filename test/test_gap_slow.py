@@ -13,14 +13,14 @@ import pytest
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.floors import beat_their_floors, louder_floors
+from gyro_calib.gap.floors import beat_their_floors, effect_beside_floors, louder_floors
 from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.gap.screen import Screener
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.sizes import gained_by_resizing, measured_shares, with_shares
-from gyro_calib.gap.slow import drift_family
+from gyro_calib.gap.slow import drift_family, slow_drifts
 from gyro_calib.gap.system import Solution
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
@@ -206,6 +206,25 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
     for evidence, beats in ((enough - 1.0, False), (enough + 1.0, True)):
         assert beat_their_floors(hushed, [replace(drift, log_evidence=evidence)]) is beats
     assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
+
+
+def test_a_damping_that_grows_is_no_floor_of_damping_that_it_has_made_itself() -> None:
+    """Floors as large as all of it seems where nothing else is allowed for leave less than half; without it nothing beats floors."""
+    model = floored()
+    drifts = [c for c in slow_drifts(model.evidence, model.linear) if drift_family(c)]
+    largest = {c.name: c for c in drifts}
+    held = [largest.get(c.name, c) if drift_family(c) == "damping" else c for c in model.nuisances]
+    tried = [c for name in ("nonlinear_damping", "quadratic_damping", "duffing", "drive_sag") for c in model.candidates[name]]
+    assert effect_beside_floors(tried, model.whitener, model.target, held, drifts) is None
+    growing = model.candidates["nonlinear_damping"][0]
+    known = np.linalg.norm(Screener(model.whitener, model.nuisances, model.target).projected(growing.columns)[0])
+    grown = with_columns(model, [(growing.columns[0], 30.0 / float(known)), *((c, 0.0) for c in growing.columns[1:])])
+    hidden = Screener(model.whitener, held, grown.target).screen(growing)
+    found = effect_beside_floors(tried, model.whitener, grown.target, held, drifts)
+    assert hidden is not None
+    assert found is not None
+    assert found.name in {"nonlinear_damping", "quadratic_damping"}
+    assert hidden.gain < 0.5 * 30.0**2
 
 
 @pytest.mark.slow
