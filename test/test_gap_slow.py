@@ -13,7 +13,7 @@ import pytest
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.floors import beat_their_floors, effect_beside_floors, louder_floors
+from gyro_calib.gap.floors import beat_their_floors, hidden_by_floors, louder_floors
 from gyro_calib.gap.model import CampaignModel, look_at
 from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.relinearise import relinearised
@@ -209,22 +209,27 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
 
 
 def test_a_damping_that_grows_is_no_floor_of_damping_that_it_has_made_itself() -> None:
-    """Floors as large as all of it seems where nothing else is allowed for leave less than half; without it nothing beats floors."""
+    """Floors as large as all of it seems where nothing else is allowed for leave less than counts."""
     model = floored()
     drifts = [c for c in slow_drifts(model.evidence, model.linear) if drift_family(c)]
     largest = {c.name: c for c in drifts}
     held = [largest.get(c.name, c) if drift_family(c) == "damping" else c for c in model.nuisances]
     tried = [c for name in ("nonlinear_damping", "quadratic_damping", "duffing", "drive_sag") for c in model.candidates[name]]
-    assert effect_beside_floors(tried, model.whitener, model.target, held, drifts) is None
+    assert hidden_by_floors(tried, model.whitener, model.target, held, drifts) == []
     growing = model.candidates["nonlinear_damping"][0]
     known = np.linalg.norm(Screener(model.whitener, model.nuisances, model.target).projected(growing.columns)[0])
-    grown = with_columns(model, [(growing.columns[0], 30.0 / float(known)), *((c, 0.0) for c in growing.columns[1:])])
-    hidden = Screener(model.whitener, held, grown.target).screen(growing)
-    found = effect_beside_floors(tried, model.whitener, grown.target, held, drifts)
+
+    def grown(ratio: float) -> CampaignModel:
+        return with_columns(model, [(growing.columns[0], ratio / float(known)), *((c, 0.0) for c in growing.columns[1:])])
+
+    small, large = grown(8.0).target, grown(60.0).target
+    hidden = Screener(model.whitener, held, small).screen(growing)
     assert hidden is not None
-    assert found is not None
-    assert found.name in {"nonlinear_damping", "quadratic_damping"}
-    assert hidden.gain < 0.5 * 30.0**2
+    assert hidden.log_evidence < 12.0
+    found = hidden_by_floors(tried, model.whitener, small, held, drifts)
+    assert [c.name for c in found] in (["nonlinear_damping"], ["quadratic_damping"])
+    # what floors leave to be seen needs no other floors
+    assert hidden_by_floors(tried, model.whitener, large, held, drifts) == []
 
 
 @pytest.mark.slow

@@ -32,14 +32,16 @@ from .system import Whitener, solve
 if TYPE_CHECKING:
     from .model import CampaignModel
 
-__all__ = ["beat_their_floors", "beside_wander", "course_beside_floors", "effect_beside_floors", "louder_floors"]
+__all__ = ["beat_their_floors", "beside_wander", "course_beside_floors", "hidden_by_floors", "louder_floors"]
 
 #: log evidence of a course of time against floors alone: what any effect must have, and the choice among its places
 _MARGIN = 12.0
 #: log evidence of effects of time beside larger floors against larger floors alone: one in twenty of some twenty such effects
 _LIKELIER = 6.0
-#: floors beside which effects are looked for that may have made them, over their size; how many are tried
-_QUIETER, _TRIED = 0.1, 4
+#: floors beside which effects are looked for that may have made them, over their size; how many are tried, and found at most
+_QUIETER, _TRIED, _FOUND = 0.1, 4, 2
+#: share of what an effect is likelier by that it must have beside floors of the measured size: with less it is hidden
+_SEEN = 0.7
 
 
 def louder_floors(model: CampaignModel, others: Sequence[Candidate]) -> float:
@@ -93,17 +95,18 @@ def course_beside_floors(
     course = courses.best(Screener(whitener, steady, target), whitener)
     if course is None or course[0].gain < 2.0 * _MARGIN:
         return None
-    return _likelier_than_floors(whitener, target, steady, drifts, [course[0]])
+    likelier = _likelier_than_floors(whitener, target, steady, drifts, [course[0]])
+    return None if likelier is None else likelier[0]
 
 
-def effect_beside_floors(
+def hidden_by_floors(
     candidates: Iterable[Candidate],
     whitener: Whitener,
     target: Sequence[NDArray[np.complex128]],
     nuisances: Sequence[Column],
     drifts: Sequence[Column],
-) -> Candidate | None:
-    """The effect that is likelier, with floors as large as they are beside it, than floors alone are.
+) -> list[Candidate]:
+    """Effects that are likelier, with floors as large as they are beside them, than floors alone, where these floors hide one; or none.
 
     Two amplitudes held one after the other tell a damping that grows with amplitude from one that drifts only by how large the drift is,
     and what grows makes it large: on a hemisphere of another plant 19 of log evidence, of which floors of the size without it left 3.
@@ -119,12 +122,23 @@ def effect_beside_floors(
     drifts : sequence of Column
         Floors at their largest.
     """
-    quieter = [replace(c, prior_sd=_QUIETER * c.prior_sd) if drift_family(c) else c for c in nuisances]
     families = {drift_family(c) for c in nuisances}
-    seen = [s for s in Screener(whitener, quieter, target).screened(candidates) if s.gain > 2.0 * _MARGIN]
-    seen.sort(key=lambda s: -s.log_evidence)
-    steady = [c for c in nuisances if not drift_family(c)]
-    return _likelier_than_floors(whitener, target, steady, [c for c in drifts if drift_family(c) in families], seen[:_TRIED])
+    largest = [c for c in drifts if drift_family(c) in families]
+    pool, found, hidden = list(candidates), list[Candidate](), False
+    for _ in range(_FOUND):
+        held = [*nuisances, *effect_columns(found)]
+        quieter = [replace(c, prior_sd=_QUIETER * c.prior_sd) if drift_family(c) else c for c in held]
+        seen = [s for s in Screener(whitener, quieter, target).screened(pool) if s.gain > 2.0 * _MARGIN]
+        seen.sort(key=lambda s: -s.log_evidence)
+        best = _likelier_than_floors(whitener, target, [c for c in held if not drift_family(c)], largest, seen[:_TRIED])
+        if best is None:
+            break
+        effect, gain = best
+        now = Screener(whitener, held, target).screen(effect)
+        hidden = hidden or now is None or now.log_evidence < _SEEN * gain
+        found.append(effect)
+        pool = [c for c in pool if c.name != effect.name]
+    return found if hidden else []
 
 
 def _likelier_than_floors(
@@ -133,7 +147,8 @@ def _likelier_than_floors(
     steady: Sequence[Column],
     drifts: Sequence[Column],
     tried: Sequence[Screened],
-) -> Candidate | None:
+) -> tuple[Candidate, float] | None:
+    """The likeliest of some effects beside floors, and by how much it is likelier than these alone."""
     if not tried:
         return None
     alone = _likelihood(whitener, target, steady, drifts, drift_family)
@@ -142,7 +157,7 @@ def _likelier_than_floors(
         beside = _likelihood(whitener, target, [*steady, *effect_columns([s.candidate])], drifts, drift_family)
         gains.append(beside - alone + worth(0.0, s.rank, s.candidate.choices))
     best = int(np.argmax(gains))
-    return tried[best].candidate if gains[best] > _MARGIN else None
+    return (tried[best].candidate, gains[best]) if gains[best] > _MARGIN else None
 
 
 def beside_wander(model: CampaignModel, others: Sequence[Candidate], found: Screened) -> float:

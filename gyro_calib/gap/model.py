@@ -18,7 +18,7 @@ from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
-from .floors import course_beside_floors, effect_beside_floors
+from .floors import course_beside_floors, hidden_by_floors
 from .followed import followed_of
 from .linear_device import frequency_columns, knows_its_resonance, linear_columns, linear_of, target_of
 from .missing import missing_of, needed_by
@@ -44,8 +44,6 @@ _WANDER = 5e-8
 _STRANGE = ("amplitude", "azimuth", "drive", "temperature")
 #: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
 _COURSE = 15.0
-#: effects that are allowed for besides, at most
-_FOUND = 2
 #: delay and length of a table's steps from which on its log is mended [s], and how often
 _TABLE_S, _TABLE_ROUNDS = 5e-4, 2
 #: noise of a recording that shall say nothing, over its own, in power
@@ -196,19 +194,14 @@ def look_at(
     if candidate is None:
         candidate = _course_of_warming(evidence, courses, noise, excess, held, angular_gain)
     found = [] if candidate is None else [candidate]
-    most_found = len(found) + _FOUND
-    while True:
-        if found:
-            whitener, noise, excess, held = _weighed(
-                evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, found
-            )
-        # and what stands still may have made a floor what it seems
-        named = [c for name, tried in candidates.items() if not is_of_time(name) and name not in {f.name for f in found} for c in tried]
-        beside = [*held, *effect_columns(found)]
-        more = effect_beside_floors(named, whitener, target_of(evidence, angular_gain), beside, drifts) if len(found) < most_found else None
-        if more is None:
-            break
-        found.append(more)
+    if found:
+        whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, found)
+    # and what stands still may have made a floor what it seems
+    named = [c for name, tried in candidates.items() if not is_of_time(name) for c in tried]
+    beside = [*held, *effect_columns(found)]
+    if hidden := hidden_by_floors(named, whitener, target_of(evidence, angular_gain), beside, drifts):
+        found += hidden
+        whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, found)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
     report(1.0, "noise")
