@@ -93,50 +93,35 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
 
 
 def _tone(tone: Tone, left_out: set[str]) -> FoundEffect:
-    effect = EFFECTS[tone.name]
     names = ("v_x", "v_y") if tone.name == "mains_pickup" else ("a_x", "a_y")
     parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz")}
     parameters |= {name: Quantity(float(tone.volts[k]), float(tone.volts_sd[k]), "V") for k, name in enumerate(names)}
-    return FoundEffect(
-        name=tone.name,
-        title=effect.title,
-        group=(tone.name, *(name for name in tone.alike if name not in left_out)),
-        probability=_PROBABILITY,
-        parameters=parameters,
-        location=effect.location,
-        registry_name=tone.name,
-        gain=2.0 * tone.log_evidence,
-        harmless=True,
-    )
+    alike = tuple(name for name in tone.alike if name not in left_out)
+    return _found(tone.name, parameters, 2.0 * tone.log_evidence, alike)
 
 
 def _noisy_gain(growth: NoiseGrowth) -> FoundEffect:
-    effect = EFFECTS["amplitude_noise"]
-    return FoundEffect(
-        name=effect.name,
-        title=effect.title,
-        group=(effect.name,),
-        probability=_PROBABILITY,
-        parameters={"s": Quantity(*growth.gain_per_rthz, effect.parameter("s").unit)},
-        location=effect.location,
-        registry_name=effect.name,
-        gain=growth.gain_sigma**2,
-        harmless=True,
-    )
+    unit = EFFECTS["amplitude_noise"].parameter("s").unit
+    return _found("amplitude_noise", {"s": Quantity(*growth.gain_per_rthz, unit)}, growth.gain_sigma**2)
 
 
 def _coarse_steps(steps: ConverterSteps) -> FoundEffect:
-    effect = EFFECTS["pickoff_quantisation"]
+    unit = EFFECTS["pickoff_quantisation"].parameter("lsb").unit
+    return _found("pickoff_quantisation", {"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, unit)}, _SIGMA**2, harmless=False)
+
+
+def _found(name: str, parameters: dict[str, Quantity], gain: float, alike: tuple[str, ...] = (), *, harmless: bool = True) -> FoundEffect:
+    effect = EFFECTS[name]
     return FoundEffect(
-        name=effect.name,
+        name=name,
         title=effect.title,
-        group=(effect.name,),
+        group=(name, *alike),
         probability=_PROBABILITY,
-        parameters={"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, effect.parameter("lsb").unit)},
+        parameters=parameters,
         location=effect.location,
-        registry_name=effect.name,
-        gain=_SIGMA**2,
-        harmless=True,
+        registry_name=name,
+        gain=gain,
+        harmless=harmless,
     )
 
 
