@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from test_gap_spectra import LINEAR, records
 
 from gyro_calib.gap.converter_steps import converter_steps, step_of
+from gyro_calib.gap.diagnose import _summary
+from gyro_calib.gap.heldout import Shrinkage
 from gyro_calib.gap.spectral_effects import spectral_effects
 from gyro_calib.recording.recording import Recording
 
@@ -55,6 +58,7 @@ def test_noise_of_half_a_step_dithers_it(noise_v: float, undithered: bool) -> No
     steps = converter_steps(recorded(noise_v, LSB_V))
     assert steps is not None
     assert steps.lsb_v == pytest.approx(LSB_V, rel=1e-6)
+    assert abs(steps.lsb_v - LSB_V) < 2.0 * steps.lsb_sd_v
     assert steps.undithered is undithered
 
 
@@ -64,6 +68,7 @@ def test_coarse_steps_are_named_with_their_size() -> None:
     assert found.effects[0].parameters["lsb"].value == pytest.approx(LSB_V, rel=1e-6)
     # what the slow flow names beside them is not told from what rounding does
     assert found.products > 100.0
+    assert "leaves the slow flow alone" not in _summary("effects", found.effects, None, cast(Shrinkage, None))
     assert spectral_effects(recorded(0.3 * LSB_V, LSB_V), LINEAR, ["pickoff_quantisation"]).effects == ()
 
 

@@ -24,6 +24,8 @@ _FEWEST, _OFF_GRID, _NEAR, _FEW_STEPS = 256, 0.02, 12, 6.0
 #: step over the standard deviation of what is left beside a carrier from which on no noise dithers it: noise of half a step, and the
 #: rounding's own third of one, make 1.7
 _UNDITHERED = 1.7
+#: how well the volts of a sample are known, relative: the grid itself is told better
+_SCALE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class ConverterSteps:
     Parameters
     ----------
     lsb_v, lsb_sd_v : float
-        Its step [V], and how far recordings differ in it.
+        Its step [V], and its standard deviation: how far recordings differ in it, and a millionth for the scale of the volts.
     over_noise : float
         The step over the standard deviation of a sample, rounding included.
     """
@@ -95,11 +97,12 @@ def converter_steps(recordings: Sequence[Recording]) -> ConverterSteps | None:
                 over.append(step / max(noise, step / math.sqrt(12.0)))
     if not steps or not over:
         return None
-    return ConverterSteps(float(np.median(steps)), float(np.std(steps)), float(np.median(over)))
+    lsb_v = float(np.median(steps))
+    return ConverterSteps(lsb_v, math.hypot(float(np.std(steps)), _SCALE * lsb_v), float(np.median(over)))
 
 
 def _beside_carrier(r: Recording, samples: FloatArray) -> float | None:
-    """Standard deviation of samples beside a carrier whose envelope goes as a parabola; None of a signal that fills no steps."""
+    """Standard deviation of samples beside a carrier whose envelope goes as a parabola; None where their time is not recorded."""
     raw = r.raw or {}
     if "t" not in raw:
         return None

@@ -30,7 +30,7 @@ from .probabilities import none_or_unknown
 from .rate_table import said_late
 from .screen import Candidate, Screened
 from .select import Selection, select_effects
-from .spectral_effects import SPECTRAL, SpectralEffects, spectral_effects
+from .spectral_effects import SAMPLED, SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
 from .steady_swings import find_steady_swing
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
@@ -306,6 +306,8 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         words.append(f"{e.name} ({size}), or {alike}")
     if all(e.name in SPECTRAL for e in effects):
         return f"Present: {'; and '.join(words)}. It stands in the spectrum beside the carrier and leaves the slow flow alone."
+    if all(e.name in (*SPECTRAL, *SAMPLED) for e in effects):
+        return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
     present = f"Present: {'; and '.join(words)}."
     if shrunk.closed_sd > _UNKNOWN_SHARE:
         return f"{present} How much of the gap it closes, the experiments that it was not found on are too few to tell."

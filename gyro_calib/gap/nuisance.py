@@ -53,8 +53,8 @@ _LEAST_DAMPING = 0.5
 _DAMPING_PER_K2 = 3e-5
 #: drives that are late carrier and all, by some samples of the converters [s]
 _LAG_S = 3e-5
-#: an envelope later than its record, over a period [rad]: filters and holds that are known to a tenth of a radian of the carrier; of 35
-#: healthy devices of three other plants none had more than that
+#: an envelope later than its record, by the carrier's phase meanwhile [rad]: filters and holds are known to a tenth of a radian; of 31
+#: healthy devices of two other plants none lagged by three of its standard deviations
 _LAG_RAD = 0.1
 #: how equal drives are that shift the reference and that turn an envelope, gain and phase [rad]
 _OF_STIFFNESS = 1e-5

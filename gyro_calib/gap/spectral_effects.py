@@ -16,10 +16,11 @@ from .parts import Linear
 from .spectra import near_line, pick_spectra
 from .tones import Tone, find_tone
 
-__all__ = ["SPECTRAL", "SpectralEffects", "spectral_effects"]
+__all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "spectral_effects"]
 
-#: effects that are found here
-SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise", "pickoff_quantisation")
+#: effects that are found here: in the spectra, and in samples at the converters' rate
+SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise")
+SAMPLED = ("pickoff_quantisation",)
 
 #: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
 _SIGMA = 6.0
@@ -28,9 +29,10 @@ _SEEN = _SIGMA + 1.28
 _SQUARES = 3.0
 #: probability of a finding that is as strong as it must be here
 _PROBABILITY = 0.95
-#: steps of the drives' converter: their noise is that of any floor, and the loops' own dithers them
+#: steps of the drives' converter: their noise is that of any floor, and says nothing of where it comes from
 _NOT_TESTABLE = ("drive_quantisation",)
-#: gain in the slow flow that rounding without dither may have under any name: a hemisphere's at three times its noise had 40
+#: gain in the slow flow that rounding without dither may have under any name: of two hemispheres', at 2.4 times the noise, one had 73, the
+#: other none
 _ROUNDED = 300.0
 
 
@@ -84,7 +86,7 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
         effects.append(_coarse_steps(steps))
     present = {e.name for e in effects}
     alike = {name: e.name for e in effects for name in e.group[1:]}
-    names = [name for name in (*SPECTRAL, *_NOT_TESTABLE) if name not in left_out]
+    names = [name for name in (*SPECTRAL, *SAMPLED, *_NOT_TESTABLE) if name not in left_out]
     standings = [_standing(name, present, alike, growth, bool(spectra), _sampled(recordings)) for name in names]
     products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
     products = max(products, _ROUNDED if rounded else 0.0)
@@ -150,7 +152,7 @@ def _standing(name: str, present: set[str], alike: dict[str, str], growth: Noise
         status = "present"
     elif name in alike:
         status = f"like {alike[name]}"
-    elif name == "pickoff_quantisation":
+    elif name in SAMPLED:
         status = "excluded" if sampled else "not testable"
     elif name in _NOT_TESTABLE or (name == "amplitude_noise" and growth is None) or not heard:
         status = "not testable"
