@@ -20,10 +20,10 @@ __all__ = ["looked_at", "loudest", "on_a_table"]
 
 
 @cache
-def on_a_table(**damping: float) -> Campaign:
-    """A campaign with rate steps, of a healthy ring or of one whose damping grows with amplitude."""
+def on_a_table(effect: str = "", **sizes: float) -> Campaign:
+    """A campaign with rate steps, of a healthy ring or of one with an effect."""
     device = draw_unit(load_device("ring_15k"), 5)
-    device = replace(device, effects={"nonlinear_damping": dict(damping)} if damping else {})
+    device = replace(device, effects={effect: dict(sizes)} if effect else {})
     instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
     return run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick", abilities=("applied_rate",)))
 

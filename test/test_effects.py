@@ -159,6 +159,15 @@ def test_spurious_mode_answers_its_drive_as_a_resonance(plain: Device, part: str
 
 # ---------------------------------------------------------------- environment and time
 
+
+def _of_late_y(r: Rows) -> ComplexArray:
+    """``V = D P``, D the phase of a y that is late: ``D A D^-1`` and ``D G`` instead of A and G, and its phase away from the frequency."""
+    turn = np.diag([1.0, np.exp(-2j * math.pi * 15003.7 * r.size["tau"])])
+    other = turn @ r.A @ turn.conj() - r.A
+    late = -1j * r.size["tau"] * r.away_rad_s[:, None] * r.volts * np.array([0.0, 1.0])
+    return np.asarray(r.p @ other.T + r.u @ (turn @ r.G - r.G).T + r.reading(late))
+
+
 RAMP_K_S, LAG_S = 2.0, 0.3
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
@@ -183,6 +192,7 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "pickoff_phase_drift": ({"g_x": 2e-4, "g_y": 1e-4}, lambda r: r.reading(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
     "centrifugal_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * RATE**2 * r.p),
     "centrifugal_stiffness_axes": ({"k_x": 0.5, "k_y": 0.2}, lambda r: 1j * RATE**2 * by_axis(r, "k_x", "k_y") * r.p),
+    "multiplexing_skew": ({"tau": 2e-6}, lambda r: _of_late_y(r)),
     "rate_dependent_damping": ({"c": 0.5}, lambda r: -r.size["c"] * RATE * r.p),
     "angular_gain_error": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * r.p @ TURN.T),
     "rate_nonlinearity": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * abs(RATE) * r.p @ TURN.T),

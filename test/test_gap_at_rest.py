@@ -33,7 +33,7 @@ def drive_logged_too_large(recording: Recording) -> Recording:
 
 
 def test_an_effect_of_all_recordings_counts_without_the_turned_ones() -> None:
-    model = looked_at(on_a_table(c=3e-4))
+    model = looked_at(on_a_table("nonlinear_damping", c=3e-4))
     whole = loudest(model, "nonlinear_damping")
     still = model.at_rest(whole, ())
     assert still is not None

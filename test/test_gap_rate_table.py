@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from table_samples import looked_at, loudest, on_a_table
 
+from gyro_calib.device import draw_unit, load_device
 from gyro_calib.gap import rate_table
 from gyro_calib.gap.diagnose import diagnose
 from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.patch import constant_rate, patched_device
 from gyro_calib.gap.rate_table import gain_as_read, said_late, shifted
 from gyro_calib.gap.select import select_effects
 from gyro_calib.recording.applied_rate import applied_rate, is_turned
@@ -103,14 +105,38 @@ def test_a_servo_that_takes_its_steps_early_or_late_is_no_gain_of_the_rate(monke
     assert looked_at(spoilt).screener.chi2 > model.screener.chi2 + 25.0
 
 
-@pytest.mark.parametrize(("mismatch", "mixed", "rotated"), [(0.06, 0.05, 0.05), (-0.05, -0.035, 0.044), (0.0, 0.0, 0.03), (0.3, 0.1, -0.2)])
-def test_pickoffs_askew_read_another_angular_gain(mismatch: float, mixed: float, rotated: float) -> None:
-    """What a table shows of them in the symmetric part of P J P^-1 says how much its antisymmetric part is more than one."""
-    pick = np.array([[1.0, mixed - rotated], [mixed + rotated, 1.0 + mismatch]])
+@pytest.mark.parametrize(
+    ("mismatch", "mixed", "rotated", "phase_rad"),
+    [(0.06, 0.05, 0.05, 0.0), (-0.05, -0.035, 0.044, 0.0), (0.0, 0.0, 0.03, 0.0), (0.3, 0.1, -0.2, 0.0), (0.02, 0.01, -0.01, 0.22)],
+)
+def test_pickoffs_askew_read_another_angular_gain(mismatch: float, mixed: float, rotated: float, phase_rad: float) -> None:
+    """What a table shows of them in the symmetric part of P J P^-1 says how much its antisymmetric part is more than one, or less."""
+    pick = np.diag([1.0, np.exp(1j * phase_rad)]) @ np.array([[1.0, mixed - rotated], [mixed + rotated, 1.0 + mismatch]])
     response = 0.57 * pick @ np.array([[0.0, 1.0], [-1.0, 0.0]]) @ np.linalg.inv(pick)
-    values = {"rate_mismatch_re": 0.5 * (response[0, 1] + response[1, 0]), "rate_skew_re": 0.5 * (response[0, 0] - response[1, 1])}
-    assert gain_as_read(0.57, values) == pytest.approx(0.5 * (response[0, 1] - response[1, 0]), rel=1e-12)
+    symmetric = {"mismatch": 0.5 * (response[0, 1] + response[1, 0]), "skew": 0.5 * (response[0, 0] - response[1, 1])}
+    values = {f"rate_{n}_{part}": getattr(x, of) for n, x in symmetric.items() for part, of in (("re", "real"), ("im", "imag"))}
+    assert gain_as_read(0.57, values) == pytest.approx((0.5 * (response[0, 1] - response[1, 0])).real, rel=1e-12)
     assert gain_as_read(0.57, {}) == 0.57
+
+
+def test_a_pickoff_that_is_sampled_in_its_turn_is_named_and_patched() -> None:
+    """By the response to rate alone; what simulates it reads as late, with the phases that the recordings have."""
+    late_s = 2e-6
+    campaign = on_a_table("multiplexing_skew", tau=late_s)
+    found = diagnose(campaign)
+    assert [e.name for e in found.effects] == ["multiplexing_skew"]
+    tau = found.effects[0].parameters["tau"]
+    # what a healthy unit's phases are uncertain by: 0.02 rad of 15 kHz
+    assert abs(tau.value - late_s) < 3.0 * tau.sd
+    assert 1e-7 < tau.sd < 3e-7
+    assert found.estimate is not None
+    device = patched_device(load_device("ring_15k"), found)
+    flow = device.slow_flow(constant_rate(device, found), found.estimate.temperature_degc, found.estimate.omega0_rad_s)
+    np.testing.assert_allclose(flow.A, found.estimate.A, atol=1e-6 * np.abs(found.estimate.A).max())
+    np.testing.assert_allclose(flow.G, found.estimate.G, rtol=1e-6)
+    unit = replace(draw_unit(load_device("ring_15k"), 5), effects={"multiplexing_skew": {"tau": late_s}})
+    seen, true = (np.angle(d.pickoff_matrix()[1, 1] / d.pickoff_matrix()[0, 0]) for d in (device, unit))
+    assert seen == pytest.approx(true, abs=0.5 * abs(true) ** 3)  # the form has its tangent as itself
 
 
 def test_a_wave_that_grows_as_the_rule_of_a_plant_has_it_is_healthy() -> None:

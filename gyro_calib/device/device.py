@@ -130,8 +130,10 @@ class Device:
         return temperature_degc - self.resonator.reference_temperature_degc
 
     def pickoff_matrix(self, temperature_rise_k: float = 0.0) -> ComplexArray:
-        """P as the demodulator sees it [V/m], shape (2, 2): the chain with the delay and the crosstalk of its multiplexer."""
+        """P as the demodulator sees it [V/m], shape (2, 2): the chain with the delay, the skew and the crosstalk of its multiplexer."""
         pick = self.pickoff.matrix(temperature_rise_k)
+        if skew := self.effects.get("multiplexing_skew"):
+            pick = np.diag([1.0, cmath.exp(-1j * self.resonator.omega0_rad_s * skew["tau"])]) @ pick
         if not self.multiplexing.enabled:
             return pick
         lag = cmath.exp(-1j * self.resonator.omega0_rad_s * self.multiplexing.delay_s)

@@ -84,7 +84,14 @@ PICKOFF = (
         (signed("tau", "s", 2e-5, 1e-3, "how much later the envelope of y appears; the phase of the carrier is that of the chain"),),
         ("side bands",), BOTH,
         "V_y += -tau dV_y/dt",
-        ("pickoff_lag",),
+        ("pickoff_lag", "multiplexing_skew"),
+    ),
+    Effect(
+        "multiplexing_skew", "The two pick-offs are read in turns: the carrier of y lags, and its phase stays", "electronics", (19, 23),
+        (signed("tau", "s", 2e-6, 1e-4, "how much later y appears, carrier and envelope; below zero where it is sampled after x"),),
+        ("rate",), BOTH,
+        "V_y(t - tau) e^{-i w tau}: P with a phase of y, which turns the response to rate, kappa Omega i w0 tau (V_y, V_x)",
+        ("channel_skew", "pickoff_delay"),
     ),
     Effect(
         "amplitude_noise", "Gain of the pick-offs is noisy (reference, jitter)", "electronics", (44, 45),

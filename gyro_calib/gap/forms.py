@@ -250,6 +250,17 @@ def _delayed(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return [*turned, *(Part(f"tau_{n}", "output", one_axis(late, k)) for k, n in enumerate("xy"))]
 
 
+def _read_in_turns(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """y is late with the phase of its carrier: ``P J P^-1`` has ``-e^{i w tau}`` and ``e^{-i w tau}`` beside its diagonal."""
+    away = -1j * (s.omega_rad_s - s.omega0_rad_s)[:, None]
+    crossed = 1j * s.omega0_rad_s * d.angular_gain * s.rate_rad_s[:, None] * _swapped(_motion(s, d))
+    return [
+        Part("tau", "flow", crossed),
+        read_at_once("tau", s, d, lambda v: one_axis(away * v, 1)),
+        Part("tau", "output", one_axis(_lag(s, s.pick), 1)),
+    ]
+
+
 def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return _by_axis("drive", "tau", _lag(s, s.drive) - 1j * (s.omega_rad_s - s.omega0_rad_s)[:, None] * s.drive)
 
@@ -335,6 +346,7 @@ FORMS: dict[str, Form] = {
     "pickoff_delay": Form(_delayed),
     "pickoff_memory": Form(lambda s, d, g: [Part("share", "output", remembered(s, lambda of: of.pick, g["tau"]))], _times(0.05, 5.0, 5)),
     "pickoff_interference": Form(_constant("output", "v"), _with_or_without_open_drive),
+    "multiplexing_skew": Form(_read_in_turns),
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", one_axis(_lag(s, s.pick), 1))]),
     # environment
     "thermal_damping": _damping("c", _warm),

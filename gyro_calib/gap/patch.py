@@ -82,12 +82,17 @@ def patched_device(device: Device, diagnosis: Diagnosis) -> Device:
     base = replace(
         device,
         device_id=diagnosis.device_id,
-        resonator=replace(device.resonator, reference_temperature_degc=estimate.temperature_degc, angular_gain=estimate.angular_gain),
+        resonator=replace(
+            device.resonator,
+            frequency_hz=estimate.omega0_rad_s / (2.0 * math.pi),
+            reference_temperature_degc=estimate.temperature_degc,
+            angular_gain=estimate.angular_gain,
+        ),
         environment=replace(device.environment, temperature_degc=estimate.temperature_degc),
         pickoff=_without_effects(device.pickoff, _OF_PICKOFFS, diagnosis),
         feedthrough=_feedthrough(estimate.E),
         nonlinearity=_without_effects(device.nonlinearity, _OF_PARTS, diagnosis),
-        effects={},
+        effects=_effects(device, diagnosis, estimate),  # of a skew P has the phase
     )
     if _WARMED in estimate.values:
         base = replace(base, pickoff=replace(base.pickoff, gain_tempco_per_k=0.0), drive=replace(base.drive, gain_tempco_per_k=0.0))
@@ -100,7 +105,6 @@ def patched_device(device: Device, diagnosis: Diagnosis) -> Device:
         resonator=resonator,
         drive=_drives(base, np.asarray(np.linalg.solve(pick, estimate.G), dtype=np.complex128), estimate.omega0_rad_s),
         factory_data=replace(device.factory_data, angular_gain_kappa=estimate.angular_gain),
-        effects=_effects(device, diagnosis, estimate),
     )
 
 

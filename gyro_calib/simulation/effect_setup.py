@@ -54,7 +54,8 @@ def refuse_without_envelope(device: Device) -> None:
     DeviceError
         Names the effects and the remedy.
     """
-    here = ENVELOPE_EFFECTS | SLOW_EFFECTS | {"duffing", "duffing_axes", "cubic_cross_stiffness"}
+    # of a skew of microseconds P has all that the envelope shows
+    here = ENVELOPE_EFFECTS | SLOW_EFFECTS | {"duffing", "duffing_axes", "cubic_cross_stiffness", "multiplexing_skew"}
     if device.multiplexing.enabled:  # a drive in slots bends at the volts of its slot
         here -= {name for name in here if name.startswith("drive_") and not name.endswith("_drift")}
     if device.drive.at_twice_frequency:  # a force besides the drives does not go with the motion
@@ -188,7 +189,9 @@ def _pickoff(effect: FloatArray, size: _Sizes) -> None:
     effect[at.E_READ_CROSS] = 4.0 / 3.0 * size("pickoff_cross_nonlinearity", "c")
     effect[at.E_HUM_OMEGA] = 2.0 * math.pi * size("mains_pickup", "frequency_hz")
     effect[at.E_HUM_X], effect[at.E_HUM_Y] = size("mains_pickup", "v_x"), size("mains_pickup", "v_y")
-    effect[at.E_DELAY_X], effect[at.E_DELAY_Y] = size("pickoff_delay", "tau_x") / period, size("pickoff_delay", "tau_y") / period
+    # of a skew P has the phase (`Device.pickoff_matrix`)
+    late_s = size("pickoff_delay", "tau_x"), size("pickoff_delay", "tau_y") + size("multiplexing_skew", "tau")
+    effect[at.E_DELAY_X], effect[at.E_DELAY_Y] = late_s[0] / period, late_s[1] / period
     # a discrete low-pass v += keep (last - v) delays by keep/(1 - keep) periods
     lag, skew = size("pickoff_lag", "tau"), size("channel_skew", "tau")
     effect[at.E_OUT_KEEP] = lag / (lag + period)

@@ -41,6 +41,7 @@ class SteadyEffects:
         self._pick_gain = 1.0 + device.effects.get("pickoff_memory", {}).get("share", 0.0)
         late = [device.effects.get(name, {}) for name in ("drive_delay", "pickoff_delay")]
         self._drive_late_s, self._pick_late_s = (np.array([d.get("tau_x", 0.0), d.get("tau_y", 0.0)]) for d in late)
+        self._pick_late_s[1] += device.effects.get("multiplexing_skew", {}).get("tau", 0.0)
 
     def flow(self, flow: SlowFlow, omega_rad_s: float) -> SlowFlow:
         """A, G and E with what temperature, time, rotation and a spurious mode make of them."""
