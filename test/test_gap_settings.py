@@ -8,15 +8,18 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from table_samples import looked_at, on_a_table
 
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.levels import clipped
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate
-from gyro_calib.gap.select import _ROUGH_SHARES
+from gyro_calib.gap.select import _ROUGH_SHARES, _refined
 from gyro_calib.gap.settings_together import places_of, settled_together, with_slopes
 from gyro_calib.gap.system import Solution, Whitener, solve
+from gyro_calib.gap.told import told_sizes
+from gyro_calib.trial.injected import with_columns
 
 ROWS, DRAWS, SIGMAS = 80, 60, 1.96
 T_S = np.linspace(0.0, 90.0, ROWS)
@@ -90,3 +93,20 @@ def test_what_has_no_second_setting_stays_as_it_is() -> None:
     alone = toy.at(36.0, 14.0)[:1]
     assert places_of(alone) == []
     assert settled_together(cast(CampaignModel, toy), alone) == alone
+
+
+def test_settings_of_two_kinds_are_refined_and_told_each_by_its_own() -> None:
+    """A dead zone by its level, or by the noise beside it: there was a zone of another plant that no diagnosis came out of."""
+    model = looked_at(on_a_table())
+    kinds = {tuple(c.setting): c for c in model.candidates["drive_dead_zone"]}
+    assert kinds.keys() == {("level",), ("noise",)}
+    by_level = next(c for c in model.grid("drive_dead_zone", "level") if c.setting["level"] > 3e-3)
+    with_zone = with_columns(model, [(by_level.columns[0], 1.0)])
+    found = with_zone.screener.screened(with_zone.grid("drive_dead_zone", "level"))
+    best = max(found, key=lambda s: s.log_evidence)
+    refined = _refined(with_zone, with_zone.screener, best.candidate)
+    assert refined.setting.keys() == {"level"}
+    screened = with_zone.screener.screen(refined)
+    assert screened is not None
+    told = told_sizes(with_zone, (screened,), 0, with_zone.fitted([refined]))
+    assert told["level"].value == pytest.approx(by_level.setting["level"], abs=4.0 * told["level"].sd)

@@ -96,6 +96,10 @@ class CampaignModel:
         """An effect at another setting than those of its grid."""
         return candidate_at(self.evidence, self.linear, name, setting, len(self.candidates[name]))
 
+    def grid(self, name: str, key: str) -> list[Candidate]:
+        """An effect at the settings that have this one: some have settings of two kinds (`levels.dead_settings`)."""
+        return [c for c in self.candidates[name] if key in c.setting]
+
     @cached_property
     def _turned(self) -> tuple[int, ...]:
         return tuple(r.index for r in self.evidence if is_turned(r.recording))

@@ -298,7 +298,7 @@ def _refined(model: CampaignModel, screener: Screener, candidate: Candidate) -> 
 
 
 def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidate, key: str) -> Candidate:
-    grid = np.unique([float(c.setting[key]) for c in model.candidates[candidate.name]])
+    grid = np.unique([float(c.setting[key]) for c in model.grid(candidate.name, key)])
     here = float(candidate.setting[key])
     below, above = grid[grid < here], grid[grid > here]
     low, high = (float(below[-1]) if below.size else here), (float(above[0]) if above.size else here)

@@ -107,10 +107,9 @@ def _at(model: CampaignModel, screener: Screener, e: Screened, key: str, value: 
 
 def _rough_sd(model: CampaignModel, e: Screened, key: str) -> float:
     """Half of the span of the settings of the grid that explain nearly as much."""
-    near = [
-        float(s.candidate.setting[key]) for s in model.screener.screened(model.candidates[e.name]) if s.log_evidence > e.log_evidence - 2.0
-    ]
-    grid = sorted({float(c.setting[key]) for c in model.candidates[e.name]})
+    tried = model.grid(e.name, key)
+    near = [float(s.candidate.setting[key]) for s in model.screener.screened(tried) if s.log_evidence > e.log_evidence - 2.0]
+    grid = sorted({float(c.setting[key]) for c in tried})
     here = float(e.candidate.setting[key])
     beside = sorted(abs(other - here) for other in grid if other != here)
     step = float(np.mean(beside[:2])) if beside else 0.0
