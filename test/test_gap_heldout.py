@@ -182,6 +182,13 @@ def test_halves_of_different_sizes_disagree(seed: int) -> None:
     assert halves_disagree(model, [effect])
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_half_that_does_not_show_an_effect_does_not_disagree(seed: int) -> None:
+    """It was surprised by a size of four times what is believed: a rate's asymmetry that the one recording on a table shows."""
+    model, effect = toy(np.array([45.0, *np.zeros(COUNT - 1)]), seed, shown=1)
+    assert not halves_disagree(model, [effect])
+
+
 def test_others_do_not_guess_at_a_size_that_they_cannot_tell() -> None:
     """Beforehand a size is of the order that all experiments say: no matter where it is well told, all where it is not."""
     spread: dict[tuple[bool, bool], float] = {}

@@ -33,6 +33,8 @@ _BY_CHANCE = 1e-3
 _TOLD_BY_ITSELF = 1e-6
 #: size of an effect, in units of its column's norm, that is none
 _LEAST = 1e-9
+#: size over that which all experiments say, sd, of which a half that does not show it knows nothing better
+_OPEN = 3.0
 #: share of the gap that effects of the right form leave at most, if they leave more than noise: those of 400 times their noise left 0.004
 _MOST_LEFT = 0.02
 
@@ -116,7 +118,7 @@ def shrinkage_of_halves(model: CampaignModel, chosen: Sequence[Candidate]) -> Sh
 def halves_disagree(model: CampaignModel, chosen: Sequence[Candidate]) -> bool:
     """Whether the sizes that each half tells differ by more than their uncertainty: then the form is not that of what is there."""
     unseen = _Unseen(model, chosen)
-    (one, one_var), (other, other_var) = (unseen.told(unseen.held_out(half)) for half in halves(model))
+    (one, one_var), (other, other_var) = (unseen.told(unseen.held_out(half), unseen.open) for half in halves(model))
     variance = one_var + other_var
     told = np.diag(variance) > 0.0
     scale = np.sqrt(np.diag(variance)[told])
@@ -170,6 +172,8 @@ class _Unseen:
         sizes = np.linalg.solve(self._fisher + np.diag(self._precision), self._towards)
         # what others cannot tell they must not guess at: a size is believed to be of the order that all experiments say
         self._order = np.maximum(self._precision, np.maximum(np.abs(sizes), _LEAST) ** -2.0)
+        # nor is a half that tells nothing of a size surprised by one larger than it is believed to be
+        self.open = np.minimum(self._precision, (_OPEN * np.maximum(np.abs(sizes), _LEAST)) ** -2.0)
         ends = np.cumsum([0, *(2 * r.signal.lhs.size for r in model.evidence)])
         self._places = [slice(a, b) for a, b in itertools.pairwise(ends)]
         # how far off their priors the nuisances are beside the effects: a device's constants need not be as large as they may be
