@@ -41,6 +41,8 @@ LEFT_SHARE, LEFT_SIGMA = 0.04, 6.0
 #: a share of what effects take that an unnamed term takes beside them, from which on it is no more what first order leaves: right names
 #: of SNR 100 to 400 left 0.0023 at most; soft knees and a hysteresis left 0.015 to 0.03 of three names
 _BESIDE_SHARE = 0.01
+#: a share of what effects take from which on an unnamed term is what they are
+_AS_MUCH = 0.9
 #: log evidence that some two hundred anonymous terms may reach by chance beyond what fifty named ones do, and chi-square
 BANK_MARGIN, _BANK_GAIN = 3.0, 39.0
 #: share of an effect's gain that its form, of first order, may leave
@@ -113,9 +115,12 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
 
 
 def unnamed_rest(model: CampaignModel, chosen: Sequence[Candidate]) -> Stranger | None:
-    """The anonymous term that says most of what effects leave."""
+    """The anonymous term that says most of what effects leave, or, if one says nearly as much as they do, that one."""
     screener = model.screener_with(chosen)
-    most = _most_worth(_unnamed(model, screener, chosen))
+    most, alone = _most_worth(_unnamed(model, screener, chosen)), _most_worth(_unnamed(model, model.screener))
+    if alone is not None and alone[0].gain > _AS_MUCH * (model.screener.chi2 - screener.chi2):
+        # a friction that is smooth at rest: what a dry one leaves of it has the form of nothing
+        return _stranger(model, alone)
     return _stranger(model, most) if most is not None else None
 
 
