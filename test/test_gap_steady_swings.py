@@ -35,12 +35,12 @@ def flows(rng: np.random.Generator) -> list[FlowLeft]:
     ]
 
 
-def swinging(of: list[FlowLeft], channel: str, size: float, phases: NDArray[np.float64]) -> list[FlowLeft]:
+def swinging(of: list[FlowLeft], channel: str, size: float, phases: NDArray[np.float64], hz: float = SWING_HZ) -> list[FlowLeft]:
     """With a swing of these phases at the zero of the device's clock, as those recordings that ``phases`` has numbers for hold it."""
     found = []
     for flow, phase in zip(of, phases, strict=True):
         t = flow.start_s + ROW_S * np.arange(ROWS)
-        more = 0.0 if np.isnan(phase) else size * np.sin(2.0 * np.pi * SWING_HZ * t + phase)
+        more = 0.0 if np.isnan(phase) else size * np.sin(2.0 * np.pi * hz * t + phase)
         found.append(replace(flow, rate={**flow.rate, channel: flow.rate[channel] + more}))
     return found
 
@@ -76,6 +76,20 @@ def test_one_disturbed_recording_is_not_the_campaign() -> None:
     phases = np.full(COUNT, np.nan)
     phases[4] = 0.6
     assert find_steady_swing(swinging(flows(np.random.default_rng(3)), "precession", 4e-5, phases)) is None
+
+
+def test_two_recordings_of_a_kind_whose_floor_is_mistaken_are_not_the_campaign() -> None:
+    """Near their mean all wander alike, but of two of twelve no bin that tells the floor says so: their phases agree, within a tenth."""
+    rng = np.random.default_rng(6)
+    quiet = flows(rng)
+    for k in range(10):
+        wander = quiet[k].rate["frequency"] + 100.0 * WALK * np.cumsum(rng.standard_normal(ROWS))
+        quiet[k] = replace(quiet[k], rate={**quiet[k].rate, "frequency": wander})
+    for k in (10, 11):
+        quiet[k] = replace(quiet[k], kind=("ftr_y", 0.0, False))
+    phases = np.full(COUNT, np.nan)
+    phases[10:] = 0.6, 0.7
+    assert find_steady_swing(swinging(quiet, "frequency", 5e-5, phases, 0.3)) is None
 
 
 def test_a_campaign_of_days_is_asked_for_no_more_frequencies_than_one_of_minutes() -> None:

@@ -17,6 +17,7 @@ from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
 from .own_modes import mode_parts, modes
 from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, one_axis, read_at_once, turned
+from .pumps import driven_pump, steady_pump
 from .signals import Signals
 
 __all__ = ["AT_REST", "FORMS", "conjugate_product", "cube"]
@@ -324,7 +325,8 @@ FORMS: dict[str, Form] = {
     "relaxation": Form(
         lambda s, d, g: [Part("c", "flow", 1j * (remembered(s, lambda of: _motion(of, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
     ),
-    "parametric_pump": Form(lambda s, d, g: [Part(f"h_{n}", "flow", f * _motion(s, d).conj()) for n, f in (("c", 1.0), ("s", 1j))]),
+    "parametric_pump": Form(steady_pump, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "parametric_pump_axes"),
+    "driven_pump": Form(driven_pump),
     "constant_force": Form(_constant("drive", "f"), _with_or_without_open_drive),
     # drive
     "drive_nonlinearity": _driven_cube("d", 1.0),

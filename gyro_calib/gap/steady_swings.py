@@ -24,6 +24,8 @@ ComplexArray = NDArray[np.complex128]
 #: fewest records that tell it; distance of the frequencies that are tried, over what one campaign tells apart; how many are tried at
 #: most, of a campaign of hours the lower ones
 _FEWEST, _STEP, _MOST = 6, 0.25, 40_000
+#: records of a kind that tell their floor at its lowest bins too: of two of a hemisphere it was a thousandth of the resonance's wander
+_OWN_FLOOR = 4
 #: log evidence beyond the search from which on it is one
 _MARGIN = 12.0
 
@@ -55,8 +57,12 @@ def _of_channel(kinds: Sequence[Kind], grid: FloatArray, channel: str, searched:
     if int(told.sum()) < _FEWEST:
         return None
     one, unit = heard[told, best], expected[told, best]
-    # without the record that says most: one alone may have been disturbed
-    beyond = min(float(_evidence(np.delete(one, k)[:, None], np.delete(unit, k)[:, None])[0]) for k in range(one.size)) - searched
+    kind = np.repeat(np.arange(len(kinds)), [len(k.flows) for k in kinds])[told]
+    # without the record that says most: one alone may have been disturbed; and without any kind of few: their floor is mistaken below
+    # the bins that tell it, and two have one phase by chance
+    few = [k for k in np.unique(kind) if int(np.sum(kind == k)) < _OWN_FLOOR]
+    some = [np.arange(one.size) != k for k in range(one.size)] + [kind != k for k in few if int(np.sum(kind != k)) >= _FEWEST - 1]
+    beyond = min(float(_evidence(one[kept, None], unit[kept, None])[0]) for kept in some) - searched
     return Swing(channel, float(grid[best]), beyond, one.size) if beyond > _MARGIN else None
 
 
