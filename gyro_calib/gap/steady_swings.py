@@ -57,12 +57,8 @@ def _of_channel(kinds: Sequence[Kind], grid: FloatArray, channel: str, searched:
     if int(told.sum()) < _FEWEST:
         return None
     one, unit = heard[told, best], expected[told, best]
-    kind = np.repeat(np.arange(len(kinds)), [len(k.flows) for k in kinds])[told]
-    # without the record that says most: one alone may have been disturbed; and without any kind of few: their floor is mistaken below
-    # the bins that tell it, and two have one phase by chance
-    few = [k for k in np.unique(kind) if int(np.sum(kind == k)) < _OWN_FLOOR]
-    some = [np.arange(one.size) != k for k in range(one.size)] + [kind != k for k in few if int(np.sum(kind != k)) >= _FEWEST - 1]
-    beyond = min(float(_evidence(one[kept, None], unit[kept, None])[0]) for kept in some) - searched
+    # without the record that says most: one alone may have been disturbed
+    beyond = min(float(_evidence(np.delete(one, k)[:, None], np.delete(unit, k)[:, None])[0]) for k in range(one.size)) - searched
     return Swing(channel, float(grid[best]), beyond, one.size) if beyond > _MARGIN else None
 
 
@@ -86,17 +82,26 @@ def _matched(kinds: Sequence[Kind], grid: FloatArray, channel: str) -> tuple[Com
         0 where a record holds signal.
     """
     heard, expected = [], []
-    for kind in kinds:
-        for flow, floor in zip(kind.flows, kind.floors(grid, None, low=True), strict=True):
-            window = np.hanning(len(flow.rate[channel]))
-            found = _transform(window * flow.rate[channel], flow.row_s, grid) * np.exp(-2j * np.pi * grid * flow.start_s)
-            # of a cosine of unit size half stands at either sign of its frequency
-            held, noise = 0.5 * window.sum(), floor * np.sum(window**2) / flow.row_s
-            there = np.isfinite(noise)
-            noise = np.where(there, noise, 1.0)
-            heard.append(np.where(there, held * found / noise, 0.0))
-            expected.append(np.where(there, held**2 / noise, 0.0))
+    flows = [flow for kind in kinds for flow in kind.flows]
+    for flow, floor in zip(flows, _floors(kinds, grid), strict=True):
+        window = np.hanning(len(flow.rate[channel]))
+        found = _transform(window * flow.rate[channel], flow.row_s, grid) * np.exp(-2j * np.pi * grid * flow.start_s)
+        # of a cosine of unit size half stands at either sign of its frequency
+        held, noise = 0.5 * window.sum(), floor * np.sum(window**2) / flow.row_s
+        there = np.isfinite(noise)
+        noise = np.where(there, noise, 1.0)
+        heard.append(np.where(there, held * found / noise, 0.0))
+        expected.append(np.where(there, held**2 / noise, 0.0))
     return np.array(heard), np.array(expected)
+
+
+def _floors(kinds: Sequence[Kind], grid: FloatArray) -> FloatArray:
+    """By record. Of a kind of few not below that of most records: no bin near the mean tells it, and all are of one device that wanders."""
+    floors = np.array([floor for kind in kinds for floor in kind.floors(grid, None, low=True)])
+    few = np.repeat([len(kind.flows) < _OWN_FLOOR for kind in kinds], [len(kind.flows) for kind in kinds])
+    there = np.isfinite(floors)
+    usual = np.nanmedian(np.where(there.any(axis=0), floors, 0.0), axis=0)
+    return np.where(few[:, None], np.maximum(floors, usual), floors)
 
 
 def _transform(x: FloatArray, row_s: float, grid: FloatArray) -> ComplexArray:
