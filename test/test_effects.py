@@ -44,6 +44,8 @@ def plain() -> Device:
     return plain_device()
 
 
+MODULATED = Command("ftr_x", Excitation("amplitude_modulation", 4.0, 0.3))
+
 # ---------------------------------------------------------------- at once: dynamics, drive, pick-off
 
 #: effect -> sizes, form
@@ -55,6 +57,7 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "nonlinear_damping_axes": ({"c_x": 0.5, "c_y": 0.8}, lambda r: -by_axis(r, "c_x", "c_y") * cubes(r.p)),
     "coulomb_friction_axes": ({"c_x": 0.3, "c_y": 0.5}, lambda r: -by_axis(r, "c_x", "c_y") * r.p / np.abs(r.p)),
     "parametric_pump": ({"h_c": 0.3, "h_s": 0.5}, lambda r: complex(r.size["h_c"], r.size["h_s"]) * r.p.conj()),
+    "parametric_pump_axes": ({"h_xc": 0.3, "h_xs": 0.5, "h_yc": -0.2, "h_ys": 0.4}, lambda r: pumps(r) * r.p.conj()),
     "constant_force": ({"f_xc": 0.01, "f_xs": 0.02, "f_yc": 0.03, "f_ys": -0.04}, lambda r: r.force(_constant(r))),
     "drive_nonlinearity": ({"d_x": 0.02, "d_y": 0.05}, lambda r: r.force(by_axis(r, "d_x", "d_y") * cubes(r.u))),
     "drive_amplitude_phase": ({"d_x": 2e-3, "d_y": 5e-3}, lambda r: r.force(1j * by_axis(r, "d_x", "d_y") * cubes(r.u))),
@@ -71,6 +74,11 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "pickoff_delay": ({"tau_x": 2e-4, "tau_y": -1e-4}, lambda r: r.reading(_late(r))),
     "pickoff_interference": ({"v_xc": 0.01, "v_xs": 0.02, "v_yc": 0.03, "v_ys": -0.04}, lambda r: r.reading(_constant(r))),
 }
+
+
+def pumps(r: Rows) -> ComplexArray:
+    h = r.size
+    return np.array([complex(h["h_xc"], h["h_xs"]), complex(h["h_yc"], h["h_ys"])])
 
 
 def _constant(r: Rows) -> ComplexArray:
@@ -144,6 +152,22 @@ def test_drag_of_an_elliptic_wave_treats_its_quadrature_otherwise(plain: Device,
     expected = -0.3 * size * (along + 0.5 * across) if name == "quadratic_damping" else -0.3 / size * (along + more * across)
     assert_form(rows, expected, 0.02, before.rest)
     assert np.abs(more * across).max() > 0.05 * np.abs(along).max()
+
+
+@compiled_only
+@pytest.mark.parametrize("command", [MODULATED, OPEN])
+def test_amplitude_loop_pumps_as_much_as_it_commands(plain: Device, command: Command) -> None:
+    """What goes along the velocity of a mode on x; nothing while the loops are off."""
+    sizes = {"h_xc": 0.3, "h_xs": 0.2, "h_yc": -0.2, "h_ys": 0.1}
+    # a thinned row is a mean of some control periods, each with the command of its own
+    rows, before = (measured(plain, e, command, settle_s=2.0, length_s=0.5) for e in ({"driven_pump": sizes}, {}))
+    along = ((1j * rows.p).conj() * rows.u).real.sum(axis=1, keepdims=True) / np.linalg.norm(rows.p, axis=1, keepdims=True)
+    assert np.ptp(along) > (0.1 if command is MODULATED else 0.0) * np.abs(along).max()
+    expected = pumps(rows) * along * rows.p.conj()
+    scale = np.abs(expected).max()
+    closed = 1.0 if command is MODULATED else 0.0
+    assert scale > 1e-3
+    assert np.abs(rows.rest - before.rest - closed * expected)[5:-5].max() / scale < 0.02
 
 
 @compiled_only
@@ -283,7 +307,6 @@ def _late_drive(r: Rows) -> ComplexArray:
     return -by_axis(r, "tau_x", "tau_y") * (slope(r.u) + 1j * r.away_rad_s[:, None] * r.u)
 
 
-MODULATED = Command("ftr_x", Excitation("amplitude_modulation", 4.0, 0.3))
 MEMORY: dict[str, tuple[dict[str, float], Form]] = {
     "relaxation": ({"c": 1.0, "tau": 0.05}, lambda r: 1j * (slow(r.p, 0.05) - r.p)),
     "drive_memory": ({"share": 0.05, "tau": 0.05}, lambda r: r.force(0.05 * slow(r.u, 0.05))),
@@ -385,7 +408,7 @@ def test_every_effect_is_tested_here() -> None:
     named = set(STATIC) | set(ENVIRONMENT) | set(LATE) | {name.split()[0] for name in MEMORY}
     alone = {
         "drive_saturation", "drive_dead_zone", "pickoff_saturation", "coulomb_friction", "quadratic_damping", "spurious_mode",
-        "thermal_lag", "external_tone", "mains_pickup", "pickoff_quantisation", "drive_quantisation", "amplitude_noise",
+        "thermal_lag", "external_tone", "mains_pickup", "pickoff_quantisation", "drive_quantisation", "amplitude_noise",  "driven_pump",
     }  # fmt: skip
     assert named | alone == set(EFFECTS)
     assert not named & alone

@@ -46,6 +46,9 @@ class Toy:
     def candidate(self, name: str, setting: Any) -> Candidate:
         return Candidate(name, setting, (column("share", self.shape(setting["tau"])),), np.array([100.0]), len(TIMES_S))
 
+    def grid(self, name: str, key: str) -> list[Candidate]:
+        return [c for c in self.candidates[name] if key in c.setting]
+
     def screener_with(self, candidates: list[Candidate]) -> Screener:
         return Screener(WHITE, [*self.nuisances[:1], *(c for e in candidates for c in e.columns)], self.target)
 

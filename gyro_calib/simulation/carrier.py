@@ -15,6 +15,7 @@ from ..device.electronics import SLOTS
 from ..jit import kernel
 from .control import control_step
 from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT, middle_motion
+from .effect_forces import pump_stiffness
 from .effect_kernels import always_on_forces, effect_samples, stray_feeds
 from .effect_layout import E_GAIN
 from .effect_memory import drive_phasors, pick_phasors
@@ -211,10 +212,11 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 z[0], z[1], z[2], z[3] = x, y, vx, vy
                 always = always_on_forces(z, memory, effect, b, c, s, ca, sa, wxr, wxi, wyr, wyi)
                 feeds = stray_feeds(memory, effect, effect_rows[row], uxc, uxs, uyc, uys, exr, exi, eyr, eyi)
+                pump = pump_stiffness(effect, x, y, vx, vy, c, s, uxc, uxs, uyc, uys)
                 gain = 1.0 + effect[E_GAIN] * gain_noise[row * controls + step] if gain_noise.size > 0 else 1.0
                 effect_samples(
-                    z, volts, memory, effect, effect_rows[row], phi, gamma, b, pk, (axr, axi, ayr, ayi), always, feeds, phase, omega, dt, w,
-                    settling, factor, gain, kick, pick_noise, nonlinear, converters, noise, n,
+                    z, volts, memory, effect, effect_rows[row], phi, gamma, b, pk, (axr, axi, ayr, ayi), always, feeds, pump,
+                    phase, omega, dt, w, settling, factor, gain, kick, pick_noise, nonlinear, converters, noise, n,
                 )  # fmt: skip
                 x, y, vx, vy = z[0], z[1], z[2], z[3]
                 n += 4 * samples

@@ -18,18 +18,19 @@ __all__ = ["ENVELOPE_EFFECTS", "bent_drive", "bent_pickoff", "effect_rate", "env
 FloatArray = NDArray[np.float64]
 # dynamics: nonlinear damping alike, by axis [1/s/V^2], drag [1/s/V], friction [V/s], pump [1/s]; drive: constant force [V], cubic and phase
 # by axis, sag, across [1/V^2], clip, dead zone [V]; pick-off: cubic and phase by axis, across [1/V^2], interference, clip [V]
-_DAMPING, _DAMPING_X, _DAMPING_Y, _DRAG, _FRICTION, _PUMP_C, _PUMP_S = 0, 1, 2, 3, 4, 5, 6
+_DAMPING, _DAMPING_X, _DAMPING_Y, _DRAG, _FRICTION = 0, 1, 2, 3, 4
 _FORCE, _CUBIC_X, _CUBIC_Y, _PHASE_X, _PHASE_Y, _SAG, _CROSS, _CLIP, _DEAD = 7, 11, 12, 13, 14, 15, 16, 17, 18
 _READ_X, _READ_Y, _TURN_X, _TURN_Y, _READ_CROSS, _STRAY, _READ_CLIP = 19, 20, 21, 22, 23, 24, 28
-_FRICTION_X, _FRICTION_Y = 29, 30
-_COUNT = 31
+_FRICTION_X, _FRICTION_Y, _PUMP_X, _PUMP_Y = 29, 30, 31, 33
+_COUNT = 35
 _PLACES: dict[str, dict[str, int]] = {
     "nonlinear_damping": {"c": _DAMPING},
     "nonlinear_damping_axes": {"c_x": _DAMPING_X, "c_y": _DAMPING_Y},
     "quadratic_damping": {"c": _DRAG},
     "coulomb_friction": {"c": _FRICTION},
     "coulomb_friction_axes": {"c_x": _FRICTION_X, "c_y": _FRICTION_Y},
-    "parametric_pump": {"h_c": _PUMP_C, "h_s": _PUMP_S},
+    "parametric_pump": {},
+    "parametric_pump_axes": {},
     "constant_force": {"f_xc": _FORCE, "f_xs": _FORCE + 1, "f_yc": _FORCE + 2, "f_ys": _FORCE + 3},
     "drive_nonlinearity": {"d_x": _CUBIC_X, "d_y": _CUBIC_Y},
     "drive_amplitude_phase": {"d_x": _PHASE_X, "d_y": _PHASE_Y},
@@ -54,6 +55,10 @@ def envelope_constants(effects: Mapping[str, Mapping[str, float]]) -> FloatArray
     for name in ENVELOPE_EFFECTS & set(effects):
         for parameter, place in _PLACES[name].items():
             numbers[place] = effects[name][parameter]
+    alike, by_axis = effects.get("parametric_pump", {}), effects.get("parametric_pump_axes", {})
+    for axis, start in (("x", _PUMP_X), ("y", _PUMP_Y)):
+        for k, q in enumerate("cs"):
+            numbers[start + k] = alike.get(f"h_{q}", 0.0) + by_axis.get(f"h_{axis}{q}", 0.0)
     return numbers
 
 
@@ -85,11 +90,11 @@ def effect_rate(px, py, c):  # type: ignore[no-untyped-def]
         along, across = c[_DRAG] * size + dry, 0.5 * c[_DRAG] * size + more
         straight += 0.5 * (along + across)
         curled += 0.5 * (along - across) * dot / square
-    pump = complex(c[_PUMP_C], c[_PUMP_S]) - curled
+    pump_x, pump_y = complex(c[_PUMP_X], c[_PUMP_X + 1]) - curled, complex(c[_PUMP_Y], c[_PUMP_Y + 1]) - curled
     dry_x = c[_FRICTION_X] / math.sqrt(xx) if xx > 0.0 else 0.0
     dry_y = c[_FRICTION_Y] / math.sqrt(yy) if yy > 0.0 else 0.0
-    rx = pump * px.conjugate() - (straight + c[_DAMPING_X] * xx + dry_x) * px
-    return rx, pump * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py
+    rx = pump_x * px.conjugate() - (straight + c[_DAMPING_X] * xx + dry_x) * px
+    return rx, pump_y * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py
 
 
 @kernel

@@ -7,22 +7,25 @@ import math
 from ..jit import kernel
 from .effect_layout import (
     E_CLIP,
+    E_CLOSED,
     E_CROSS,
     E_CUBIC_X,
     E_CUBIC_Y,
     E_DEAD,
     E_DRAG,
+    E_DRIVEN_PUMP,
     E_FRICTION,
     E_FRICTION_X,
     E_FRICTION_Y,
     E_HOLD,
+    E_PUMP,
     E_STEP,
     E_VELOCITY,
     E_VELOCITY_X,
     E_VELOCITY_Y,
 )
 
-__all__ = ["bends_drive", "drive_stage", "friction_direction", "opposes_motion", "velocity_force"]
+__all__ = ["bends_drive", "drive_stage", "friction_direction", "opposes_motion", "pump_stiffness", "velocity_force"]
 
 
 @kernel
@@ -112,3 +115,22 @@ def drive_stage(vx, vy, effect):  # type: ignore[no-untyped-def]
         wx, wy = wx + cross * vy * vy * vy, wy + cross * vx * vx * vx
     limit = effect[E_CLIP]
     return min(max(wx, -limit), limit), min(max(wy, -limit), limit)
+
+
+@kernel
+def pump_stiffness(effect, x, y, vx, vy, c, s, uxc, uxs, uyc, uys):  # type: ignore[no-untyped-def]
+    """Stiffness at twice the reference over the coming control period: cos and sin of x, of y [1/s^2].
+
+    The amplitude loop commands what of the drives u goes along the velocity, ``Re[(i z)^H u] / |z|``; with the loops off nothing.
+    """
+    command = 0.0
+    zxc, zxs, zyc, zys = x * c - vx * s, -x * s - vx * c, y * c - vy * s, -y * s - vy * c
+    size = math.sqrt((zxc * zxc + zxs * zxs) + (zyc * zyc + zys * zys))
+    if effect[E_CLOSED] > 0.0 and size > 0.0:
+        command = ((zxc * uxs - zxs * uxc) + (zyc * uys - zys * uyc)) / size
+    return (
+        effect[E_PUMP] + command * effect[E_DRIVEN_PUMP],
+        effect[E_PUMP + 1] + command * effect[E_DRIVEN_PUMP + 1],
+        effect[E_PUMP + 2] + command * effect[E_DRIVEN_PUMP + 2],
+        effect[E_PUMP + 3] + command * effect[E_DRIVEN_PUMP + 3],
+    )

@@ -22,8 +22,6 @@ from .effect_layout import (
     E_MODE_YX,
     E_MODE_YY,
     E_PERIOD,
-    E_PUMP_C,
-    E_PUMP_S,
     E_READ_CROSS,
     E_READ_X,
     E_READ_Y,
@@ -84,8 +82,8 @@ def _convert(value, full_scale, lsb):  # type: ignore[no-untyped-def]
 
 @kernel
 def effect_samples(  # type: ignore[no-untyped-def]
-    z, volts, memory, effect, row, phi, gamma, b, pk, drives, always, feeds, phase, omega, dt, w, settling, factor, gain, kick, pick_noise,
-    nonlinear, converters, noise, n,
+    z, volts, memory, effect, row, phi, gamma, b, pk, drives, always, feeds, pump, phase, omega, dt, w, settling, factor, gain, kick,
+    pick_noise, nonlinear, converters, noise, n,
 ):  # fmt: skip
     """Advance one control period, in place.
 
@@ -103,6 +101,8 @@ def effect_samples(  # type: ignore[no-untyped-def]
         B and P: re, im of xx, xy, yx, yy.
     drives, always, feeds : tuple of 4 float
         Phasors (re, im of x, y) of the drive voltages [V], of the forces that are always on [m/s^2], of what feeds through [V].
+    pump : tuple of 4 float
+        Stiffness at twice the reference: cos and sin of x, of y [1/s^2].
     phase, omega, dt, w : float
         Reference at the first sample [rad], its frequency [rad/s], sample time [s], nominal angular frequency [rad/s].
     settling : int
@@ -143,7 +143,8 @@ def effect_samples(  # type: ignore[no-untyped-def]
     soft_x, soft_y = effect[E_SOFT_X], effect[E_SOFT_Y]
     # what is held over a sample stands for the phase in its middle, the motion that it meets is that of its start
     half_c, half_s = math.cos(0.5 * omega * dt), math.sin(0.5 * omega * dt)
-    pump_c, pump_s, tone_x, tone_y = effect[E_PUMP_C], effect[E_PUMP_S], effect[E_TONE_X], effect[E_TONE_Y]
+    pump_xc, pump_xs, pump_yc, pump_ys = pump
+    tone_x, tone_y = effect[E_TONE_X], effect[E_TONE_Y]
     full, lsb, cubic_x, cubic_y = converters[0], converters[1], converters[4], converters[7]
     per_gap_x, per_gap_y = converters[5], converters[6]
     bent, dragged, curved = bends_drive(effect), opposes_motion(effect), nonlinear.any()
@@ -183,8 +184,9 @@ def effect_samples(  # type: ignore[no-untyped-def]
                 mode1, mode2 = mode1 + mode_push * nowx, mode2 + mode_push * nowy
         forcex += (b0 * tone_x + b2 * tone_y) * tone_c - (b1 * tone_x + b3 * tone_y) * tone_s
         forcey += (b4 * tone_x + b6 * tone_y) * tone_c - (b5 * tone_x + b7 * tone_y) * tone_s
-        pump = pump_c * (c * c - s * s) + pump_s * 2.0 * s * c
-        pushx, pushy = -(pump + soft_x * metx * metx) * x, -(pump + soft_y * mety * mety) * y
+        twice_c, twice_s = c * c - s * s, 2.0 * s * c
+        pushx = -(pump_xc * twice_c + pump_xs * twice_s + soft_x * metx * metx) * x
+        pushy = -(pump_yc * twice_c + pump_ys * twice_s + soft_y * mety * mety) * y
         if curved:
             curlx, curly = instant_force(x, y, vx * w, vy * w, nonlinear)
             pushx, pushy = pushx - curlx, pushy - curly

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 __all__ = ["N_EFFECT", "N_MEMORY", "N_ROW"]
 
-# forces per mass: |v|^2 v, v_x^3, v_y^3 [s/m^2], |v| v [1/m], v/|v| [m/s^2], parametric pump cos, sin [1/s^2]; relaxation [1/s^2], its
-# decay per control period
-E_VELOCITY, E_VELOCITY_X, E_VELOCITY_Y, E_DRAG, E_FRICTION, E_PUMP_C, E_PUMP_S, E_RELAX, E_RELAX_KEEP = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# forces per mass: |v|^2 v, v_x^3, v_y^3 [s/m^2], |v| v [1/m], v/|v| [m/s^2]; whether the loops are closed; relaxation [1/s^2], its decay
+# per control period
+E_VELOCITY, E_VELOCITY_X, E_VELOCITY_Y, E_DRAG, E_FRICTION, E_CLOSED, E_RELAX, E_RELAX_KEEP = 0, 1, 2, 3, 4, 5, 7, 8
 # drive as phasor: constant x_c, x_s, y_c, y_s [V], sag [1/V^2], phase of x and y [rad/V^2], lag: decay and mean over a control period,
 # memory: share, decay and mean over a control period
 E_CONSTANT, E_SAG, E_PHASE_X, E_PHASE_Y, E_LAG_KEEP, E_LAG_MEAN, E_SLOW, E_SLOW_KEEP, E_SLOW_MEAN = 9, 13, 14, 15, 16, 17, 18, 19, 20
@@ -29,7 +29,9 @@ E_DELAY_X, E_DELAY_Y, E_NOMINAL = 56, 57, 58
 E_LATE_X, E_LATE_Y = 59, 60
 # friction of each axis [m/s^2]
 E_FRICTION_X, E_FRICTION_Y = 61, 62
-N_EFFECT = 63
+# parametric pump: cos and sin of x, of y [1/s^2], and per volt of the amplitude loop's command [1/s^2/V]
+E_PUMP, E_DRIVEN_PUMP = 63, 67
+N_EFFECT = 71
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed

@@ -153,8 +153,9 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     effect[at.E_FRICTION_X] = 0.5 * math.pi * w / gain * size("coulomb_friction_axes", "c_x")
     effect[at.E_FRICTION_Y] = 0.5 * math.pi * w / gain * size("coulomb_friction_axes", "c_y")
     # stiffness Re[kappa e^{2 i phi}] gives p' = (i kappa/4w) p*: kappa = -4 i w (h_c + i h_s)
-    effect[at.E_PUMP_C] = 4.0 * w * size("parametric_pump", "h_s")
-    effect[at.E_PUMP_S] = 4.0 * w * size("parametric_pump", "h_c")
+    for k, place in enumerate(("xs", "xc", "ys", "yc")):
+        steady = size("parametric_pump", f"h_{place[1]}") + size("parametric_pump_axes", f"h_{place}")
+        effect[at.E_PUMP + k], effect[at.E_DRIVEN_PUMP + k] = 4.0 * w * steady, 4.0 * w * size("driven_pump", f"h_{place}")
     # a stiffness kappa v^2 of both amplitudes gives p' = (i kappa/2w)(|u|^2 p/2 + u^2 p*/4)
     effect[at.E_SOFT_X], effect[at.E_SOFT_Y] = (8.0 * w * size("drive_stiffness", name) for name in ("k_x", "k_y"))
     effect[at.E_RELAX] = 2.0 * w * size("relaxation", "c")

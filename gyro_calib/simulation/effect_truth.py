@@ -67,6 +67,10 @@ class SteadyEffects:
         if softness is not None:
             k = np.array([softness["k_x"], softness["k_y"]])
             added = added + 1j * k * (2.0 * np.abs(drive) ** 2 * motion + drive**2 * motion.conj())
+        pump = self._device.effects.get("driven_pump")
+        if pump is not None:
+            command = float((motion.conj() @ drive).imag) / max(float(np.linalg.norm(motion)), 1e-12)
+            added = added + command * np.array([complex(pump["h_xc"], pump["h_xs"]), complex(pump["h_yc"], pump["h_ys"])]) * motion.conj()
         return np.asarray(self._motion_v @ added, dtype=np.complex128)
 
     def true_volts(self, read: ComplexArray, omega_rad_s: float) -> ComplexArray:

@@ -14,7 +14,7 @@ from ..device.electronics import SLOTS
 from ..device.operating_point import OperatingPoint
 from . import carrier, control_layout, filters
 from .effect_envelope import ENVELOPE_EFFECTS, envelope_constants
-from .effect_layout import N_EFFECT, N_MEMORY, N_ROW
+from .effect_layout import E_CLOSED, N_EFFECT, N_MEMORY, N_ROW
 from .effect_rows import SLOW_EFFECTS, SlowEffects, add_to_carrier, flow_with, kernel_rows
 from .effect_setup import (
     converter_constants,
@@ -193,6 +193,7 @@ class CarrierPlant(_Base):
         effect_rows, gain_noise = np.zeros((0, N_ROW)), np.zeros(0)
         if self._slow is not None:
             drive, pick, effect_rows = self._slow_effects(rate_rad_s, temperature_degc, physics, drive, pick)
+        self.effect[E_CLOSED] = float(self.param[control_layout.P_MODE] != control_layout.MODE_LOOPS_OFF)
         if self._gain_noise is not None:
             gain_noise = self._gain_noise.standard_normal(count * self.row_w.shape[2])
         carrier.carrier_rows(
