@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from test_gap_spectra import LINEAR, records
 
-from gyro_calib.gap.converter_steps import converter_steps, step_of
+from gyro_calib.gap.converter_steps import ConverterSteps, converter_steps, step_of
 from gyro_calib.gap.diagnose import _summary
 from gyro_calib.gap.heldout import Shrinkage
 from gyro_calib.gap.spectral_effects import spectral_effects
@@ -25,9 +25,9 @@ def samples(rng: np.random.Generator, noise_v: float, amplitude_v: float = 0.9) 
     return t, amplitude_v * (1.0 + 1e-4 * t) * np.cos(2 * np.pi * 5000.3 * t + 0.4) + noise_v * rng.standard_normal(t.size)
 
 
-def recorded(noise_v: float, lsb_v: float) -> list[Recording]:
+def recorded(noise_v: float, lsb_v: float, hum_v: float = 0.0) -> list[Recording]:
     rng, found = np.random.default_rng(3), []
-    for r in records(rng, carrier_hz=(5000.3,)):
+    for r in records(rng, carrier_hz=(5000.3,), hum=(50.0, hum_v)):
         (t, x), (_, y) = samples(rng, noise_v), samples(rng, noise_v, 0.002)
         raw = {"t": t, "x_pick": x, "y_pick": y}
         if lsb_v:
@@ -70,6 +70,28 @@ def test_coarse_steps_are_named_with_their_size() -> None:
     assert found.products > 100.0
     assert "leaves the slow flow alone" not in _summary("effects", found.effects, None, cast(Shrinkage, None))
     assert spectral_effects(recorded(0.3 * LSB_V, LSB_V), LINEAR, ["pickoff_quantisation"]).effects == ()
+
+
+def test_what_rounding_says_grows_as_the_noise_dithers_it_less() -> None:
+    """The error that follows a sine, beside noise of s steps, drawn; its square over the noise's against the law."""
+    rng, law, drawn = np.random.default_rng(4), [], []
+    phase = rng.uniform(0.0, 2.0 * np.pi, 2_000_000)
+    for s in (0.15, 0.25, 0.3):
+        follows = []
+        # the error goes to and fro with the amplitude: over a step's worth of them
+        for amplitude in 5.0 + np.linspace(0.0, 1.0, 12, endpoint=False):
+            x = amplitude * np.cos(phase) + s * rng.standard_normal(phase.size)
+            follows.append(2.0 * float(np.mean((np.round(x) - x) * np.cos(phase))))
+        drawn.append(float(np.mean(np.square(follows))) / s**2)
+        law.append(ConverterSteps(1.0, 0.0, 1.0 / np.hypot(s, np.sqrt(1.0 / 12.0))).rounded_gain)
+    assert np.diff(np.log(law)) == pytest.approx(np.diff(np.log(drawn)), abs=0.35)
+
+
+def test_a_line_within_a_step_is_what_rounding_makes() -> None:
+    small, large = (recorded(0.3 * LSB_V, LSB_V, hum_v) for hum_v in (2e-5, 2e-4))
+    assert [e.name for e in spectral_effects(small, LINEAR).effects] == ["pickoff_quantisation"]
+    assert [e.name for e in spectral_effects(large, LINEAR).effects] == ["mains_pickup", "pickoff_quantisation"]
+    assert [e.name for e in spectral_effects(recorded(0.7 * LSB_V, LSB_V, 2e-5), LINEAR).effects] == ["mains_pickup"]
 
 
 def test_whether_steps_can_be_told_is_said() -> None:

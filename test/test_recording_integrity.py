@@ -131,6 +131,21 @@ def test_noise_free_convergence_is_neither_frozen_nor_repeated():
     validate(make_recording(rows), FACTORY)
 
 
+@pytest.mark.parametrize(("bursts", "fine"), [(12, True), (1, False)])
+def test_an_axis_below_half_a_step_of_its_converter_is_not_frozen(bursts, fine):
+    """It reads nothing, but where the noise takes it over the half, again and again; a cable that broke came back once."""
+    rows = make_rows()
+    still = slice(100, 1900)
+    rows[still, column("y_pick_c")] = rows[still, column("y_pick_s")] = 0.0
+    for start in np.linspace(150, 1800, bursts, dtype=int):
+        rows[start : start + 5, column("y_pick_c")] = 1e-5
+    if fine:
+        validate(make_recording(rows), FACTORY)
+    else:
+        with pytest.raises(DataError, match="y_pick_[cs] .*frozen"):
+            validate(make_recording(rows), FACTORY)
+
+
 def test_open_drive_may_be_constant():
     rows = make_rows()
     rows[:, 6:10] = 0.0

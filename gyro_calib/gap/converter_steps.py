@@ -24,6 +24,9 @@ _FEWEST, _OFF_GRID, _NEAR, _FEW_STEPS = 256, 0.02, 12, 6.0
 #: step over the standard deviation of what is left beside a carrier from which on no noise dithers it: noise of half a step, and the
 #: rounding's own third of one, make 1.7
 _UNDITHERED = 1.7
+#: gain of rounding by that measure, and the least noise, in squared steps, that is told beside the rounding's own: of three campaigns whose
+#: noise was 0.14 to 0.30 of a step it came to 240, to 1750, and to nothing
+_ROUNDED, _LEAST_NOISE = 5e3, 2e-3
 #: how well the volts of a sample are known, relative: the grid itself is told better
 _SCALE = 1e-6
 
@@ -48,6 +51,16 @@ class ConverterSteps:
     def undithered(self) -> bool:
         """Whether the noise is too small to make rounding a white noise."""
         return self.over_noise > _UNDITHERED
+
+    @property
+    def rounded_gain(self) -> float:
+        """Chi-square in the slow flow that rounding may have under any name.
+
+        Noise of s steps leaves ``exp(-2 pi^2 s^2)`` of the error that follows the signal (Widrow and Kollar, ch. 4), which counts by its
+        square, over that of the noise.
+        """
+        s = max(1.0 / self.over_noise**2 - 1.0 / 12.0, _LEAST_NOISE)
+        return _ROUNDED * math.exp(-4.0 * math.pi**2 * s) / s
 
 
 def step_of(samples: FloatArray) -> float | None:

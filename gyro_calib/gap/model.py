@@ -27,7 +27,7 @@ from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasu
 from .nuisance import slow_columns, thermal_columns, wander_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
-from .rate_table import gain_as_read, in_time, rate_columns, steps_of
+from .rate_table import gain_as_read, healthy_phases, in_time, rate_columns, steps_of
 from .saturated import columns_of_time, counting, effect_columns, is_of_time, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
@@ -176,7 +176,8 @@ def look_at(
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
-    nuisances = [*_nuisances(evidence, linear, most, wander), *errs, *own_columns(evidence, linear, values)]
+    nuisances = healthy_phases(_nuisances(evidence, linear, most, wander), angular_gain)
+    nuisances = [*nuisances, *errs, *own_columns(evidence, linear, values)]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     missing = missing_of(evidence)
     candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +24,7 @@ from .evidence import CampaignEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry
 from .parts import turned
 
-__all__ = ["gain_as_read", "in_time", "rate_columns", "said_late", "shifted", "steps_of"]
+__all__ = ["gain_as_read", "healthy_phases", "in_time", "rate_columns", "said_late", "shifted", "steps_of"]
 
 FloatArray = NDArray[np.float64]
 
@@ -40,8 +40,8 @@ _UNTURNED = 3e-5
 _TOLD_S = 0.05
 #: reaction of the diagonal of A to rate over kappa
 _SKEWED_RATE = 0.05
-#: how far the phases of the pick-offs of a healthy unit differ; of 38 units of four plants the largest was 0.005
-_PHASE_RAD = 0.02
+#: how far the phases of the pick-offs of a healthy unit differ; effects.md 19 says to 0.01, of 13 units of four plants none came to 0.005
+_PHASE_RAD = 0.01
 #: what a phase and a mismatch of the pick-offs, 0.2 rad and 0.01, make of kappa in quadrature: their product, over kappa
 _TURNED_GAIN = 2e-3
 #: a step is what changes within so long [s]; a log of more of them is a course
@@ -75,9 +75,7 @@ def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list
         ("rate_sum", combined((0, 0), (1, 1), 1.0)),
         ("rate_skew", combined((0, 0), (1, 1), -1.0)),
     ):
-        # a phase of y against x is in the imaginary part of the mismatch alone
-        more = collected(name, evidence, f, _SKEWED_RATE)
-        columns += [replace(c, prior_sd=_PHASE_RAD) if rate_known and c.name == "rate_mismatch_im" else c for c in more]
+        columns += collected(name, evidence, f, _SKEWED_RATE)
     for a in range(2):
         for b in range(2):
             place = f"{'xy'[a]}{'xy'[b]}"
@@ -85,6 +83,14 @@ def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list
             # what feeds through does not turn: -kappa Omega J (V - E u), of which the columns of E hold all but its dispersion
             columns += collected(f"rate_feed_{place}", evidence, entry("rate_drive", a, b), _UNTURNED if rate_known else FEEDTHROUGH)
     return [*columns, _kicked(evidence), *_rounded_steps(evidence), *_carrier_phases(evidence)]
+
+
+def healthy_phases(columns: Sequence[Column], angular_gain: float) -> list[Column]:
+    """The same, with pick-offs whose phases differ as those of a healthy unit do: the imaginary part of the mismatch alone has that.
+
+    A linear device is fitted with any: of one that is far from that kappa as it is read was short by the square of it.
+    """
+    return [replace(c, prior_sd=_PHASE_RAD * angular_gain) if c.name == "rate_mismatch_im" else c for c in columns]
 
 
 def _kicked(evidence: CampaignEvidence) -> Column:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..effects import EFFECTS
 from ..quantity import Quantity
 from ..recording.recording import Recording
@@ -31,9 +33,6 @@ _SQUARES = 3.0
 _PROBABILITY = 0.95
 #: steps of the drives' converter: their noise is that of any floor, and says nothing of where it comes from
 _NOT_TESTABLE = ("drive_quantisation",)
-#: gain in the slow flow that rounding without dither may have under any name: of two hemispheres', at 2.4 times the noise, one had 73, the
-#: other none
-_ROUNDED = 300.0
 
 
 @dataclass(frozen=True)
@@ -73,6 +72,10 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     left_out = set(without)
     spectra = pick_spectra(recordings)
     tone, growth = find_tone(spectra, linear), noise_growth(recordings)
+    steps = converter_steps(recordings)
+    if steps is not None and steps.undithered:
+        # lines within a step, and noise that changes with the amplitude, are what such rounding makes
+        tone, growth = _beyond_a_step(tone, steps, recordings), None
     effects = []
     if tone is not None and tone.name not in left_out and not tone.of_wave:
         effects.append(_tone(tone, left_out))
@@ -80,7 +83,6 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     rippling = _rippling_gain(tone)
     if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
-    steps = converter_steps(recordings)
     rounded = steps is not None and steps.undithered and "pickoff_quantisation" not in left_out
     if steps is not None and rounded:
         effects.append(_coarse_steps(steps))
@@ -89,7 +91,7 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     names = [name for name in (*SPECTRAL, *SAMPLED, *_NOT_TESTABLE) if name not in left_out]
     standings = [_standing(name, present, alike, growth, bool(spectra), _sampled(recordings)) for name in names]
     products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
-    products = max(products, _ROUNDED if rounded else 0.0)
+    products = max(products, steps.rounded_gain if steps is not None and rounded else 0.0)
     near = () if tone is None or tone.name != "external_tone" else near_line(recordings, tone.frequency_hz)
     return SpectralEffects(tuple(effects), rippling or _noisy_clock(growth), tuple(standings), products, near)
 
@@ -125,6 +127,12 @@ def _found(name: str, parameters: dict[str, Quantity], gain: float, alike: tuple
         gain=gain,
         harmless=harmless,
     )
+
+
+def _beyond_a_step(tone: Tone | None, steps: ConverterSteps, recordings: Sequence[Recording]) -> Tone | None:
+    """A line, if it is larger than half of a step."""
+    amplitudes = [a for r in recordings if (a := r.command.setpoints.amplitude_v) > 0.0]
+    return tone if tone is not None and amplitudes and tone.share * float(np.median(amplitudes)) > 0.5 * steps.lsb_v else None
 
 
 def _sampled(recordings: Sequence[Recording]) -> bool:

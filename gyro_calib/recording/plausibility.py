@@ -25,6 +25,8 @@ _FAR_ABOVE = 5.0
 _FLAT_TOP_SAMPLES = 8
 #: so many equal samples in a row of a noisy channel are a frozen one
 _FROZEN_SAMPLES = 20
+#: so often an axis reads exactly nothing that its converter rounds: a cable that breaks does so once or twice
+_ROUNDINGS = 5
 #: so many rows in a row that stood before are a repeated block
 _REPEAT_SAMPLES = 8
 #: relative tolerance of the amplitude against its set point
@@ -103,7 +105,7 @@ def _check_frozen(recording: Recording, where: str) -> None:
     for name in _PICK_NAMES:
         column = recording.column(name)
         start, length = _longest_run(np.diff(column) == 0.0)
-        if length + 1 >= _FROZEN_SAMPLES and _moves_beside(column, start, length + 1, recording):
+        if length + 1 >= _FROZEN_SAMPLES and _moves_beside(column, start, length + 1, recording) and not _rounds_to_zero(recording, name):
             raise DataError(
                 f"Column {name}{where} must carry the noise of its channel, but got {length + 1} equal samples of {column[start]:.6g} V "
                 f"from {_at(recording, start)}: the channel is frozen. Check its cable and the logger, and record again."
@@ -117,6 +119,13 @@ def _check_frozen(recording: Recording, where: str) -> None:
                 f"Channel {axis}_pick{where} must carry the noise of its channel, but got {recording.column(c)[0]:.6g} V in all "
                 f"{len(recording)} samples from {_at(recording, 0)}: the channel is dead. Check its cable, and record again."
             )
+
+
+def _rounds_to_zero(recording: Recording, name: str) -> bool:
+    """Whether an axis that hardly moves reads nothing again and again, in both quadratures: less than half a step of its converter."""
+    nothing = np.all([recording.column(f"{name[:-1]}{q}") == 0.0 for q in "cs"], axis=0)
+    begins = np.flatnonzero(np.diff(np.concatenate([[0], nothing.astype(np.int8)])) == 1)
+    return len(begins) >= _ROUNDINGS
 
 
 def _check_repeats(recording: Recording, where: str) -> None:
