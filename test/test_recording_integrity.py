@@ -142,7 +142,7 @@ def test_an_axis_below_half_a_step_of_its_converter_is_not_frozen(bursts, fine):
     if fine:
         validate(make_recording(rows), FACTORY)
     else:
-        with pytest.raises(DataError, match="y_pick_[cs] .*frozen"):
+        with pytest.raises(DataError, match=r"y_pick_[cs] .*frozen"):
             validate(make_recording(rows), FACTORY)
 
 
