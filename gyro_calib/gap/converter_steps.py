@@ -89,17 +89,19 @@ def step_of(samples: FloatArray) -> float | None:
     return step if np.all(np.abs(off - np.round(off)) < _OFF_GRID * np.maximum(1.0, 1e-3 * off)) else None
 
 
-def converter_steps(recordings: Sequence[Recording]) -> ConverterSteps | None:
-    """Steps of the pick-offs' converter, where samples at its rate are there and lie on a grid.
+def converter_steps(recordings: Sequence[Recording], channels: Sequence[str] = ("x_pick", "y_pick")) -> ConverterSteps | None:
+    """Steps of a converter, where samples at its rate are there and lie on a grid.
 
     Parameters
     ----------
     recordings : sequence of Recording
         Those without carrier-rate samples say nothing.
+    channels : sequence of str
+        Of the raw samples that it makes.
     """
     steps, over = [], []
     for r in recordings:
-        for channel in ("x_pick", "y_pick"):
+        for channel in channels:
             samples = np.asarray((r.raw or {}).get(channel, np.zeros(0)), dtype=np.float64)
             step = step_of(samples)
             if step is None:

@@ -15,6 +15,7 @@ from ..quantity import Quantity
 from ..recording.recording import Campaign
 from ..units import DEG_H, PPM
 from .candidates import registry_name
+from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .flow_left import flows_left
 from .gap_map import gap_map
@@ -79,7 +80,7 @@ def diagnose(
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
     warnings = [*warnings, *said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
     report(0.7, "selecting effects")
-    beside = spectral_effects(recordings, model.linear, left_out)
+    beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out), model, recordings, left_out)
     selection = _without_products(model, select_effects(model), beside)
     chosen = [e.candidate for e in selection.effects]
     rich = model.fitted(chosen) if chosen else model.base

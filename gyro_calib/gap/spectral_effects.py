@@ -18,7 +18,7 @@ from .parts import Linear
 from .spectra import near_line, pick_spectra
 from .tones import Tone, find_tone
 
-__all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "spectral_effects"]
+__all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "found_beside", "spectral_effects"]
 
 #: effects that are found here: in the spectra, and in samples at the converters' rate
 SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise")
@@ -101,20 +101,23 @@ def _tone(tone: Tone, left_out: set[str]) -> FoundEffect:
     parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz")}
     parameters |= {name: Quantity(float(tone.volts[k]), float(tone.volts_sd[k]), "V") for k, name in enumerate(names)}
     alike = tuple(name for name in tone.alike if name not in left_out)
-    return _found(tone.name, parameters, 2.0 * tone.log_evidence, alike)
+    return found_beside(tone.name, parameters, 2.0 * tone.log_evidence, alike)
 
 
 def _noisy_gain(growth: NoiseGrowth) -> FoundEffect:
     unit = EFFECTS["amplitude_noise"].parameter("s").unit
-    return _found("amplitude_noise", {"s": Quantity(*growth.gain_per_rthz, unit)}, growth.gain_sigma**2)
+    return found_beside("amplitude_noise", {"s": Quantity(*growth.gain_per_rthz, unit)}, growth.gain_sigma**2)
 
 
 def _coarse_steps(steps: ConverterSteps) -> FoundEffect:
     unit = EFFECTS["pickoff_quantisation"].parameter("lsb").unit
-    return _found("pickoff_quantisation", {"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, unit)}, _SIGMA**2, harmless=False)
+    return found_beside("pickoff_quantisation", {"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, unit)}, _SIGMA**2, harmless=False)
 
 
-def _found(name: str, parameters: dict[str, Quantity], gain: float, alike: tuple[str, ...] = (), *, harmless: bool = True) -> FoundEffect:
+def found_beside(
+    name: str, parameters: dict[str, Quantity], gain: float, alike: tuple[str, ...] = (), *, harmless: bool = True
+) -> FoundEffect:
+    """A finding that no fit made, as one of a fit."""
     effect = EFFECTS[name]
     return FoundEffect(
         name=name,

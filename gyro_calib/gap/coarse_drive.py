@@ -1,0 +1,120 @@
+"""Coarse steps of the drives' converter: their grid read off samples at its rate, what they do asked of the slow flow.
+
+Rounding to steps q adds a saw-tooth to a drive. Of a carrier of amplitude A, beside noise of s steps, its fundamental is the series
+``2 sum_n (-1)^n q/(pi n) J1(2 pi n A/q) exp(-2 pi^2 n^2 s^2)`` (Widrow and Kollar, Quantization Noise, 2008, ch. 4): it changes its sign
+with every step of the amplitude, and no force of a resonator does that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import jv
+
+from ..effects import EFFECTS
+from ..quantity import Quantity
+from ..recording.recording import Recording
+from .columns import form_columns
+from .converter_steps import ConverterSteps, converter_steps
+from .diagnosis import FoundEffect
+from .model import CampaignModel
+from .parts import Form, Linear, Part, Setting
+from .screen import Candidate, Screened
+from .signals import Signals
+from .spectral_effects import SpectralEffects, found_beside
+from .strangers import MARGIN
+
+__all__ = ["rounded", "with_coarse_drive"]
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+_NAME = "drive_quantisation"
+#: noise beside a drive, in steps: none that is known, for samples that do not slide over the cycle dither as well
+_NOISE = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
+#: share of what steps do that is theirs, at any of these
+_SHARE = (0.3, 2.0)
+#: chi-square that such steps may have under any other name, over their own: between two rows the error goes on, which the form has not
+_OTHERS = 3.0
+#: terms of the series: those that noise of a twentieth of a step leaves
+_TERMS = 40
+
+
+def rounded(amplitude: FloatArray, step_v: float, noise_steps: float) -> FloatArray:
+    """Fundamental of what rounding adds to a carrier [V], shape of ``amplitude``.
+
+    Parameters
+    ----------
+    amplitude : ndarray
+        Of the carrier [V].
+    step_v : float
+        Of the converter [V].
+    noise_steps : float
+        Standard deviation of the noise beside the carrier, in steps.
+    """
+    n = np.arange(1, _TERMS)
+    size = 2.0 * (-1.0) ** n * step_v / (np.pi * n) * np.exp(-2.0 * (np.pi * n * noise_steps) ** 2)
+    return np.asarray(sum(s * jv(1, 2.0 * np.pi * k * amplitude / step_v) for k, s in zip(n, size, strict=True)))
+
+
+def with_coarse_drive(
+    beside: SpectralEffects, model: CampaignModel, recordings: Sequence[Recording], left_out: Collection[str]
+) -> SpectralEffects:
+    """The findings beside the fit with the steps of the drives' converter, if samples show them and the slow flow what they do.
+
+    Parameters
+    ----------
+    beside : SpectralEffects
+    model : CampaignModel
+    recordings : sequence of Recording
+        Those without samples at the converters' rate say nothing.
+    left_out : collection of str
+        Effects that the registry does not hold.
+    """
+    steps = converter_steps(recordings, ("x_drive", "y_drive"))
+    if steps is None or _NAME in left_out:
+        return beside
+    found = _asked(model, steps)
+    status = "excluded" if found is None else "present"
+    standings = tuple(replace(s, status=status) if s.name == _NAME else s for s in beside.standings)
+    if found is None:
+        return replace(beside, standings=standings)
+    lsb = Quantity(steps.lsb_v, steps.lsb_sd_v, EFFECTS[_NAME].parameter("lsb").unit)
+    # what a rounded drive holds beside its fundamental shakes the resonator as a tone does
+    kept = tuple(e for e in beside.effects if e.name != "external_tone" or _drives_more(e, steps))
+    effect = found_beside(_NAME, {"lsb": lsb}, found.gain, harmless=False)
+    return replace(
+        beside,
+        effects=(*kept, effect),
+        standings=standings,
+        products=max(beside.products, _OTHERS * found.gain),
+        unknown=None,
+    )
+
+
+def _drives_more(tone: FoundEffect, steps: ConverterSteps) -> bool:
+    return max(abs(tone.parameters[name].value) for name in ("a_x", "a_y")) > 0.5 * steps.lsb_v
+
+
+def _asked(model: CampaignModel, steps: ConverterSteps) -> Screened | None:
+    """What the steps do in the slow flow, where it counts and is as large as they make it."""
+    tried = [
+        Candidate(
+            _NAME, {"noise": s}, tuple(form_columns(model.evidence, _form(steps.lsb_v, s), model.linear, {})), np.ones(1), len(_NOISE)
+        )
+        for s in _NOISE
+    ]
+    shares = ((s, s.sizes()["share"][0]) for s in model.screener.screened(tried) if s.log_evidence > MARGIN)
+    return max((s for s, share in shares if _SHARE[0] < share < _SHARE[1]), key=lambda s: s.gain, default=None)
+
+
+def _form(step_v: float, noise_steps: float) -> Form:
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        size = np.abs(s.drive)
+        error: ComplexArray = rounded(size, step_v, noise_steps) * s.drive / np.maximum(size, math.ulp(1.0))
+        return [Part("share", "drive", error)]
+
+    return Form(parts)
