@@ -176,7 +176,7 @@ def look_at(
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
-    nuisances = healthy_phases(_nuisances(evidence, linear, most, wander), angular_gain)
+    nuisances = healthy_phases(_nuisances(evidence, linear, most, wander), angular_gain, values)
     nuisances = [*nuisances, *errs, *own_columns(evidence, linear, values)]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     missing = missing_of(evidence)

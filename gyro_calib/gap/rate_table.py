@@ -42,8 +42,6 @@ _TOLD_S = 0.05
 _SKEWED_RATE = 0.05
 #: how far the phases of the pick-offs of a healthy unit differ; effects.md 19 says to 0.01, of 13 units of four plants none came to 0.005
 _PHASE_RAD = 0.01
-#: what a phase and a mismatch of the pick-offs, 0.2 rad and 0.01, make of kappa in quadrature: their product, over kappa
-_TURNED_GAIN = 2e-3
 #: a step is what changes within so long [s]; a log of more of them is a course
 _STEP_S, _MOST_STEPS = 0.1, 12
 #: share of the fastest change below which a table stands still; what a step leaves over ``dOmega / 2 w``: kappa, and a phase nobody knows
@@ -62,9 +60,7 @@ def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list
     """
     if not any(is_turned(r.recording) for r in evidence):
         return []
-    columns = collected("rate_anti", evidence, combined((0, 1), (1, 0), -1.0), np.inf)
-    if rate_known:
-        columns = [replace(c, prior_sd=_KAPPA if c.name == "rate_anti_re" else _TURNED_GAIN) for c in columns]
+    columns = collected("rate_anti", evidence, combined((0, 1), (1, 0), -1.0), _KAPPA if rate_known else np.inf)
     # a motor takes its time, and a log begins anew with every recording
     for r in evidence:
         if is_turned(r.recording):
@@ -85,12 +81,17 @@ def rate_columns(evidence: CampaignEvidence, *, rate_known: bool = True) -> list
     return [*columns, _kicked(evidence), *_rounded_steps(evidence), *_carrier_phases(evidence)]
 
 
-def healthy_phases(columns: Sequence[Column], angular_gain: float) -> list[Column]:
+def healthy_phases(columns: Sequence[Column], angular_gain: float, values: Mapping[str, float]) -> list[Column]:
     """The same, with pick-offs whose phases differ as those of a healthy unit do: the imaginary part of the mismatch alone has that.
 
-    A linear device is fitted with any: of one that is far from that kappa as it is read was short by the square of it.
+    A linear device is fitted with any: of one that is far from that kappa as it is read was short by the square of it. Of such a unit it
+    is read in quadrature, too, by the product of phase and mismatch: 0.0023 of 0.22 rad and 0.01.
     """
-    return [replace(c, prior_sd=_PHASE_RAD * angular_gain) if c.name == "rate_mismatch_im" else c for c in columns]
+    sizes = {
+        "rate_mismatch_im": _PHASE_RAD * angular_gain,
+        "rate_anti_im": math.hypot(_KAPPA, (angular_gain * _stretched(angular_gain, values)).imag),
+    }
+    return [replace(c, prior_sd=sizes.get(c.name, c.prior_sd)) for c in columns]
 
 
 def _kicked(evidence: CampaignEvidence) -> Column:
@@ -109,8 +110,12 @@ def gain_as_read(angular_gain: float, values: Mapping[str, float]) -> float:
     ``sqrt(1 + s^2 + a^2)``: of a hemisphere whose axes are 3 degrees askew and 6 % apart 0.4 % more than the factory's. Of pick-offs that
     are sampled 0.22 rad of the carrier apart s is imaginary, and it is 2.4 % less.
     """
+    return angular_gain * _stretched(angular_gain, values).real
+
+
+def _stretched(angular_gain: float, values: Mapping[str, float]) -> complex:
     s, a = (complex(values.get(f"rate_{n}_re", 0.0), values.get(f"rate_{n}_im", 0.0)) / angular_gain for n in ("mismatch", "skew"))
-    return angular_gain * cmath.sqrt(1.0 + s * s + a * a).real
+    return cmath.sqrt(1.0 + s * s + a * a)
 
 
 def _rounded_steps(evidence: CampaignEvidence) -> list[Column]:
