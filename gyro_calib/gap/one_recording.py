@@ -11,17 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..recording.applied_rate import is_turned
 from .saturated import is_of_time
 from .screen import Candidate, Screened
 
 if TYPE_CHECKING:
     from .model import CampaignModel
 
-__all__ = ["told_by_several", "turned_alike"]
-
-#: fewest turned recordings that confirm one another, and chi-square beyond which no table does such a thing
-_TURNED, _NO_TABLE = 2, 100.0
+__all__ = ["told_by_several"]
 
 
 def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Candidate]) -> bool:
@@ -36,26 +32,8 @@ def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Cand
     """
     if not is_of_time(found.name):
         return True
-    still = model.seen_without((_loudest(model, found, others),), found, others)
-    return still is not None and still.log_evidence > 0.0
-
-
-def turned_alike(model: CampaignModel, found: Screened, others: Sequence[Candidate]) -> bool:
-    """Whether something unnamed that goes with rate is likelier than none without the turned recording that tells most of it.
-
-    A table does things besides its log, this time and not the next: two of a clean hemisphere held 35 and 6 of chi-square of one crossed
-    rate. What one recording alone could say so loudly that no table does it, that one may.
-    """
-    turned = [r for r in model.evidence if is_turned(r.recording)]
-    if len(turned) < _TURNED or found.gain > _NO_TABLE:
-        return True
-    still = model.seen_without((_loudest(model, found, others),), found, others)
-    return still is not None and still.log_evidence > 0.0
-
-
-def _loudest(model: CampaignModel, found: Screened, others: Sequence[Candidate]) -> int:
-    """Index of the recording that holds most of what was found."""
     made = found.directions @ (found.directions.T @ model.screener_with(others).left)
     ends = np.cumsum([2 * r.signal.lhs.size for r in model.evidence])
     loudest = int(np.argmax([float(part @ part) for part in np.split(made[: ends[-1]], ends[:-1])]))
-    return model.evidence.recordings[loudest].index
+    still = model.seen_without((model.evidence.recordings[loudest].index,), found, others)
+    return still is not None and still.log_evidence > 0.0

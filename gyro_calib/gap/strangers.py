@@ -12,7 +12,6 @@ from .anonymous import HEATED, Anonymous
 from .floors import beside_wander, louder_floors
 from .kin import nearest_known
 from .model import CampaignModel
-from .one_recording import turned_alike
 from .parts import SKEW
 from .screen import Candidate, Screened, Screener, worth
 
@@ -168,10 +167,8 @@ def one_change_of_another_kind(effects: Sequence[Screened]) -> bool:
 
 
 def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Screened, term: Anonymous) -> bool:
-    """Whether a term that has nothing to do with rate counts without the recordings that were turned; one of rate without one of them."""
-    if term.depends_on == "rate":
-        return turned_alike(model, found, chosen)
-    still = model.at_rest(found, chosen)
+    """Whether a term that has nothing to do with rate counts without the recordings that were turned."""
+    still = found if term.depends_on == "rate" else model.at_rest(found, chosen)
     return still is not None and worth_of(still) > MARGIN + BANK_MARGIN
 
 
