@@ -62,6 +62,8 @@ _PAIRED = 8
 _SHARES, _ROUGH_SHARES, _SHARE_SD = (0.6, 1.7), (0.4, 2.5), 0.25
 #: a lag of the thermometer that is long against a ramp [s]
 _BENDING_LAG_S = 0.5
+#: of what first order leaves of an effect, the share that goes with the time of a campaign
+_OUT_OF_TIME = 0.1
 #: log evidence that an effect may gain between two settings of its grid
 _BETWEEN = 6.0
 #: a level that is tried as what it is must leave this much less than what was selected
@@ -129,9 +131,12 @@ def best_of_each(screener: Screener, pool: Mapping[str, Sequence[Candidate]]) ->
     return sorted(best.values(), key=lambda s: -s.log_evidence)
 
 
-def _enough(found: Screened, largest: float = 0.0) -> bool:
-    """Whether an effect counts beside one of the largest gain: what the first order of averaging leaves of that one is no effect."""
-    return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, SECOND_ORDER * largest)
+def _enough(found: Screened, largest: Screened | None = None) -> bool:
+    """Whether an effect counts beside the loudest: what the first order of averaging leaves of that one is no effect."""
+    left = 0.0 if largest is None else SECOND_ORDER * largest.gain
+    # of what keeps to no time little of that goes with the campaign's, whose experiments are in a drawn order
+    left *= _OUT_OF_TIME if largest is not None and is_of_time(found.name) > is_of_time(largest.name) else 1.0
+    return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, left)
 
 
 def _stands(found: Screened, louder: float) -> bool:
@@ -144,9 +149,9 @@ def select_effects(model: CampaignModel) -> Selection:
     first = _ranked(model, ())
     chosen: list[Candidate] = []
     ranked = first if not first or _enough(first[0]) else _between_settings(model, first)
-    largest = ranked[0].gain if ranked else 0.0
-    while ranked and _enough(ranked[0], largest) and len(chosen) < _MOST_EFFECTS:
-        chosen.append(_best_refined(model, chosen, ranked))
+    largest = ranked[0] if ranked else None
+    while (counting := [s for s in ranked if _enough(s, largest)]) and len(chosen) < _MOST_EFFECTS:
+        chosen.append(_best_refined(model, chosen, ranked if counting[0] is ranked[0] else counting))
         # about the device that holds it: what its first order leaves would pass for the next effect
         chosen = relinearised(model, chosen)
         ranked = _ranked(model, chosen)
@@ -207,7 +212,7 @@ def _pair(model: CampaignModel, first: Sequence[Screened]) -> list[Candidate]:
     return best[1]
 
 
-def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> tuple[list[Candidate], tuple[Screened, ...]]:
+def _settled(model: CampaignModel, chosen: list[Candidate], largest: Screened | None) -> tuple[list[Candidate], tuple[Screened, ...]]:
     """The effects about the device that holds them; one of a size that it cannot have, or that the others make needless, is none."""
     while True:
         chosen = relinearised(model, chosen)
@@ -215,7 +220,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: float) -> t
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [
-            _enough(e, largest if len(effects) > 1 else 0.0)
+            _enough(e, largest if len(effects) > 1 else None)
             and seen_at_rest(model, effects, e)
             and told_by_several(model, e, [o.candidate for o in effects if o is not e])
             for e in effects
@@ -340,7 +345,7 @@ def _without(chosen: Sequence[Candidate], k: int) -> list[Candidate]:
     return [c for j, c in enumerate(chosen) if j != k]
 
 
-def _improved(model: CampaignModel, chosen: list[Candidate], largest: float) -> list[Candidate]:
+def _improved(model: CampaignModel, chosen: list[Candidate], largest: Screened | None) -> list[Candidate]:
     """Drop what the others make needless; swap one for what does better in its place."""
     for _ in range(2):
         before = [c.name for c in chosen]

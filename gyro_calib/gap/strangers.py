@@ -64,6 +64,8 @@ CHANGES = (
     {"drive_nonlinearity", "drive_amplitude_phase", "drive_sag", "drive_saturation", "drive_dead_zone", "drive_memory", "pickoff_memory"},
     {"thermal_lag", "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag"},
 )
+#: where the first of these stand
+_PLACES = (("dynamics", "in quadrature"), ("dynamics", "in phase"), ("drive", "in phase"), ("pick-off", "in phase"))
 #: so many effects, each of which takes that share of all that they take: a device with three at once is rarer than one that has another
 _TOO_MANY, _OF_THREE = 3, 0.05
 
@@ -102,10 +104,9 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
     if rest is not None:
         if unnamed_counts(rest[0], effects) and _seen_at_rest(model, chosen, *rest):
             # three names that are not it say less of it than the one term that comes nearest
-            said = _most_worth(_unnamed(model, model.screener)) if len(effects) >= _TOO_MANY else None
-            return _stranger(model, said or rest)
+            return _stranger(model, (_said_of_their_kind(model, effects) if len(effects) >= _TOO_MANY else None) or rest)
         if chosen:
-            alone = _most_worth(_unnamed(model, model.screener))
+            alone = _said_of_their_kind(model, effects)
             named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, first))
             if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects)):
                 return _stranger(model, alone)
@@ -126,6 +127,18 @@ def unnamed_rest(model: CampaignModel, chosen: Sequence[Candidate]) -> Stranger 
 
 def _stranger(model: CampaignModel, found: tuple[Screened, Anonymous]) -> Stranger:
     return Stranger(found[1], found[0], nearest_known(model, found[0].candidate))
+
+
+def _said_of_their_kind(model: CampaignModel, effects: Sequence[Screened]) -> tuple[Screened, Anonymous] | None:
+    """The term that says most of a campaign; of effects that all change one property, one that does too, if it says half as much.
+
+    A split that went to and fro with a gradient was a lag, a drift and a charge of it, and a cube of the pick-offs said more than any.
+    """
+    found = _unnamed(model, model.screener)
+    names = {e.name for e in effects}
+    places = [place for changes, place in zip(CHANGES, _PLACES, strict=False) if len(names & changes) >= _TOO_MANY]
+    best, of_kind = _most_worth(found), _most_worth([pair for pair in found if (pair[1].location, pair[1].phase) in places])
+    return of_kind if best is not None and of_kind is not None and worth_of(of_kind[0]) > 0.5 * worth_of(best[0]) else best
 
 
 def _most_worth(found: Sequence[tuple[Screened, Anonymous]]) -> tuple[Screened, Anonymous] | None:
