@@ -23,6 +23,7 @@ Form = Callable[["Rows"], ComplexArray]
 #: both axes driven off the middle of two modes 3 Hz apart, 5 Hz wide: envelopes of either phase on either axis
 DRIVE_HZ = 15004.9
 OPEN = Command("loops_off", Excitation("drive", DRIVE_HZ, 0.0, 2.0, "x"), compensation=(1.0, 0.0, 0.7, 0.0))
+MODULATED = Command("ftr_x", Excitation("amplitude_modulation", 4.0, 0.3))
 ALONG = np.diag([1.0, -1.0])
 ACROSS = np.array([[0.0, 1.0], [1.0, 0.0]])
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -130,3 +131,9 @@ def clipped(amplitude: NDArray[np.float64], level: float) -> NDArray[np.float64]
     """Fundamental of a clipped sine over the sine."""
     share = np.minimum(level / amplitude, 1.0)
     return np.asarray(2.0 / math.pi * (np.arcsin(share) + share * np.sqrt(1.0 - share**2)))
+
+
+def pumps(r: Rows) -> ComplexArray:
+    """Pump rates of each axis."""
+    h = r.size
+    return np.array([complex(h["h_xc"], h["h_xs"]), complex(h["h_yc"], h["h_ys"])])

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from effect_samples import (
     DRIVE_HZ,
+    MODULATED,
     OPEN,
     RATE,
     TURN,
@@ -28,6 +29,7 @@ from effect_samples import (
     isotropic,
     measured,
     plain_device,
+    pumps,
     slope,
     slow,
     split,
@@ -43,8 +45,6 @@ from gyro_calib.simulation import GyroSimulator
 def plain() -> Device:
     return plain_device()
 
-
-MODULATED = Command("ftr_x", Excitation("amplitude_modulation", 4.0, 0.3))
 
 # ---------------------------------------------------------------- at once: dynamics, drive, pick-off
 
@@ -74,11 +74,6 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "pickoff_delay": ({"tau_x": 2e-4, "tau_y": -1e-4}, lambda r: r.reading(_late(r))),
     "pickoff_interference": ({"v_xc": 0.01, "v_xs": 0.02, "v_yc": 0.03, "v_ys": -0.04}, lambda r: r.reading(_constant(r))),
 }
-
-
-def pumps(r: Rows) -> ComplexArray:
-    h = r.size
-    return np.array([complex(h["h_xc"], h["h_xs"]), complex(h["h_yc"], h["h_ys"])])
 
 
 def _constant(r: Rows) -> ComplexArray:
@@ -152,22 +147,6 @@ def test_drag_of_an_elliptic_wave_treats_its_quadrature_otherwise(plain: Device,
     expected = -0.3 * size * (along + 0.5 * across) if name == "quadratic_damping" else -0.3 / size * (along + more * across)
     assert_form(rows, expected, 0.02, before.rest)
     assert np.abs(more * across).max() > 0.05 * np.abs(along).max()
-
-
-@compiled_only
-@pytest.mark.parametrize("command", [MODULATED, OPEN])
-def test_amplitude_loop_pumps_as_much_as_it_commands(plain: Device, command: Command) -> None:
-    """What goes along the velocity of a mode on x; nothing while the loops are off."""
-    sizes = {"h_xc": 0.3, "h_xs": 0.2, "h_yc": -0.2, "h_ys": 0.1}
-    # a thinned row is a mean of some control periods, each with the command of its own
-    rows, before = (measured(plain, e, command, settle_s=2.0, length_s=0.5) for e in ({"driven_pump": sizes}, {}))
-    along = ((1j * rows.p).conj() * rows.u).real.sum(axis=1, keepdims=True) / np.linalg.norm(rows.p, axis=1, keepdims=True)
-    assert np.ptp(along) > (0.1 if command is MODULATED else 0.0) * np.abs(along).max()
-    expected = pumps(rows) * along * rows.p.conj()
-    scale = np.abs(expected).max()
-    closed = 1.0 if command is MODULATED else 0.0
-    assert scale > 1e-3
-    assert np.abs(rows.rest - before.rest - closed * expected)[5:-5].max() / scale < 0.02
 
 
 @compiled_only

@@ -31,7 +31,7 @@ _SEEN = _SIGMA + 1.28
 _SQUARES = 3.0
 #: probability of a finding that is as strong as it must be here
 _PROBABILITY = 0.95
-#: steps of the drives' converter: their noise is that of any floor, and says nothing of where it comes from
+#: steps of the drives' converter stand in no spectrum: their samples and the slow flow tell them (`coarse_drive.py`), or nothing does
 _NOT_TESTABLE = ("drive_quantisation",)
 
 
