@@ -9,8 +9,8 @@ __all__ = ["DRIVE"]
 
 DRIVE = (
     Effect(
-        "drive_nonlinearity", "Force not proportional to the drive voltage", "drive", (35,),
-        pair("d_x d_y", "1/V^2", 0.01, 10.0, "relative growth of the force per amplitude squared of the drive"),
+        "drive_nonlinearity", "Force not proportional to the drive voltage", "drive", (25, 35),
+        pair("d_x d_y", "1/V^2", 0.01, 10.0, "relative growth of the force per amplitude squared of the drive; below zero saturates"),
         ("large drive", "amplitudes"), BOTH,
         "u_j += d_j |u_j|^2 u_j; per sample v (1 + (4/3) d v^2)",
         ("drive_sag", "drive_saturation", "nonlinear_damping"),
