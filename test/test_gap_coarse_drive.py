@@ -12,7 +12,8 @@ from table_samples import looked_at, on_a_table
 from gyro_calib.gap.coarse_drive import _form, rounded, with_coarse_drive
 from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
+from gyro_calib.gap.spectral_effects import SpectralEffects, found_beside, spectral_effects
+from gyro_calib.quantity import Quantity
 from gyro_calib.recording.recording import Recording
 from gyro_calib.trial.injected import with_columns
 
@@ -72,3 +73,21 @@ def test_steps_that_do_nothing_are_no_effect() -> None:
     found = findings(LSB_V, model())
     assert found.effects == ()
     assert status(found) == ["excluded"]
+
+
+def test_a_tone_within_half_a_step_of_the_drives_is_what_rounding_makes() -> None:
+    """It goes with what is like it and with the recordings that stood beside it; one of more volts stays."""
+    (column,) = form_columns(model().evidence, _form(LSB_V, NOISE), model().linear, {})
+    coarse = with_columns(model(), [(column, 1.0)])
+    recordings = sampled(LSB_V)
+    healthy = spectral_effects(recordings, coarse.linear)
+    for volts, stays in ((0.2 * LSB_V, False), (0.8 * LSB_V, True)):
+        sizes = {"a_x": Quantity(volts, 1e-5, "V"), "a_y": Quantity(0.0, 1e-5, "V")}
+        tone = found_beside("external_tone", sizes, 100.0)
+        standings = tuple(replace(s, status="present") if s.name == "external_tone" else s for s in healthy.standings)
+        beside = replace(healthy, effects=(tone,), standings=standings, near=(3,))
+        found = with_coarse_drive(beside, coarse, recordings, ())
+        assert [e.name for e in found.effects] == (["external_tone"] if stays else []) + ["drive_quantisation"]
+        (said,) = (s.status for s in found.standings if s.name == "external_tone")
+        assert said == ("present" if stays else "excluded")
+        assert found.near == ((3,) if stays else ())

@@ -1,12 +1,17 @@
-"""What counts beside a loud effect: first order leaves something of that one, but little that goes with the campaign's time."""
+"""What counts beside a loud effect, whose first order leaves something, but little that goes with time; by which term it is told."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 
+from gyro_calib.gap import strangers
+from gyro_calib.gap.anonymous import Anonymous
+from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import _enough
 
@@ -36,3 +41,51 @@ def test_what_first_order_leaves_keeps_to_no_time(name: str, share: float, besid
 def test_alone_an_effect_counts_by_its_evidence() -> None:
     assert _enough(screened("duffing", 40.0))
     assert not _enough(screened("duffing", 20.0))
+
+
+SAID = {
+    # location, phase, form: chi-square
+    Anonymous("pick-off", "in phase", "|x|^2 x", "amplitude"): 7250.0,
+    Anonymous("dynamics", "in quadrature", "T x, other on each axis", "temperature"): 5990.0,
+    Anonymous("dynamics", "in phase", "T x", "temperature"): 6500.0,
+}
+SPLIT = ("thermal_split_lag", "split_drift", "charge_accumulation")
+
+
+def heard(monkeypatch: pytest.MonkeyPatch, said: Mapping[Anonymous, float]) -> CampaignModel:
+    """A model, of which only what its unnamed terms take is asked."""
+    monkeypatch.setattr(strangers, "_unnamed", lambda *_: [(screened(a.name, gain), a) for a, gain in said.items()])
+    monkeypatch.setattr(strangers, "nearest_known", lambda *_: "")
+    before, after = SimpleNamespace(chi2=10_000.0), SimpleNamespace(chi2=2_000.0)
+    return cast(CampaignModel, SimpleNamespace(screener=before, screener_with=lambda chosen: after))
+
+
+def test_three_changes_of_one_property_are_told_by_a_term_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A split that a gradient moved was a cube of the pick-offs, which says a little more."""
+
+    def told(names: Sequence[str], said: Mapping[Anonymous, float]) -> str:
+        found = strangers._said_of_their_kind(heard(monkeypatch, said), [screened(name, 1000.0) for name in names])
+        assert found is not None
+        return found[1].form
+
+    assert told(SPLIT, SAID) == "T x, other on each axis"
+    assert told(SPLIT[:2], SAID) == "|x|^2 x"
+    faint = {a: gain * (0.3 if a.phase == "in quadrature" else 1.0) for a, gain in SAID.items()}
+    assert told(SPLIT, faint) == "|x|^2 x"
+
+
+@pytest.mark.parametrize(("alone", "form"), [(7_500.0, "x/|x|"), (5_000.0, "u^2 x")])
+def test_a_term_that_says_nearly_all_that_an_effect_does_is_what_is_unknown(
+    monkeypatch: pytest.MonkeyPatch, alone: float, form: str
+) -> None:
+    """Of 8 000 that the effect takes; what it leaves has the form of nothing."""
+    whole, rest = Anonymous("dynamics", "in phase", "x/|x|", "amplitude"), Anonymous("drive", "in phase", "u^2 x", "drive")
+    model = heard(monkeypatch, {})
+
+    def unnamed(of: object, screener: object, *_: object) -> list[tuple[Screened, Anonymous]]:
+        return [(screened("", alone), whole)] if screener is model.screener else [(screened("", 300.0), rest)]
+
+    monkeypatch.setattr(strangers, "_unnamed", unnamed)
+    found = strangers.unnamed_rest(model, [])
+    assert found is not None
+    assert found.term.form == form

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .effect import MODES, Parameter
 
-__all__ = ["BOTH", "FORCE_REBALANCE", "WHOLE_ANGLE", "pair", "phases", "positive", "signed"]
+__all__ = ["BOTH", "FORCE_REBALANCE", "WHOLE_ANGLE", "pair", "positive", "pump_rates", "signed"]
 
 BOTH = MODES
 FORCE_REBALANCE, WHOLE_ANGLE = MODES[:1], MODES[1:]
@@ -26,7 +26,7 @@ def pair(names: str, unit: str, typical: float, bound: float, meaning: str) -> t
     return signed(first, unit, typical, bound, f"{meaning}, {first}"), signed(second, unit, typical, bound, f"{meaning}, {second}")
 
 
-def phases(unit: str, typical: float, bound: float) -> tuple[Parameter, ...]:
+def pump_rates(unit: str, typical: float, bound: float) -> tuple[Parameter, ...]:
     """Pump rates of each axis: growth of what is in phase with the reference, and exchange between the quadratures."""
     meanings = {"c": "growth in phase, decay in quadrature", "s": "exchange between the quadratures"}
     return tuple(signed(f"h_{axis}{q}", unit, typical, bound, f"{of}, {axis}") for axis in "xy" for q, of in meanings.items())

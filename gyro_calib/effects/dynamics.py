@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ._short import BOTH, pair, phases, positive, signed
+from ._short import BOTH, pair, positive, pump_rates, signed
 from .effect import Effect
 
 __all__ = ["DYNAMICS"]
@@ -97,14 +97,14 @@ DYNAMICS = (
     ),
     Effect(
         "parametric_pump_axes", "Stiffness modulated at twice the reference, by axis", "dynamics", (35, 36),
-        phases("1/s", 0.02, 10.0),
+        pump_rates("1/s", 0.02, 10.0),
         ("open drive", "azimuth"), BOTH,
         "p_j' += (h_jc + i h_js) p_j*",
         ("parametric_pump", "driven_pump"),
     ),
     Effect(
         "driven_pump", "Stiffness modulated at twice the reference by the command of the amplitude loop", "dynamics", (36,),
-        phases("1/s/V", 0.05, 100.0),
+        pump_rates("1/s/V", 0.05, 100.0),
         ("amplitudes",), BOTH,
         "p_j' += (h_jc + i h_js) U p_j*, U = Re[(i p)^H u] / |p| the drive along the velocity; none while the loops are off",
         ("parametric_pump_axes", "quadratic_damping"),

@@ -8,7 +8,7 @@ with every step of the amplitude, and no force of a resonator does that.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from ..quantity import Quantity
 from ..recording.recording import Recording
 from .columns import form_columns
 from .converter_steps import ConverterSteps, converter_steps
-from .diagnosis import FoundEffect
+from .diagnosis import FoundEffect, Standing
 from .model import CampaignModel
 from .parts import Form, Linear, Part, Setting
 from .screen import Candidate, Screened
@@ -79,20 +79,26 @@ def with_coarse_drive(
         return beside
     found = _asked(model, steps)
     status = "excluded" if found is None else "present"
-    standings = tuple(replace(s, status=status) if s.name == _NAME else s for s in beside.standings)
+    statuses = {_NAME: status}
     if found is None:
-        return replace(beside, standings=standings)
+        return replace(beside, standings=_with(beside.standings, statuses))
     lsb = Quantity(steps.lsb_v, steps.lsb_sd_v, EFFECTS[_NAME].parameter("lsb").unit)
     # what a rounded drive holds beside its fundamental shakes the resonator as a tone does
     kept = tuple(e for e in beside.effects if e.name != "external_tone" or _drives_more(e, steps))
+    gone = [e for e in beside.effects if e not in kept]
+    statuses |= {name: "excluded" for e in gone for name in e.group}
     effect = found_beside(_NAME, {"lsb": lsb}, found.gain, harmless=False)
     return replace(
         beside,
         effects=(*kept, effect),
-        standings=standings,
+        standings=_with(beside.standings, statuses),
         products=max(beside.products, _OTHERS * found.gain),
-        unknown=None,
+        near=() if gone else beside.near,
     )
+
+
+def _with(standings: Sequence[Standing], statuses: Mapping[str, str]) -> tuple[Standing, ...]:
+    return tuple(replace(s, status=statuses.get(s.name, s.status)) for s in standings)
 
 
 def _drives_more(tone: FoundEffect, steps: ConverterSteps) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
 from .own_modes import mode_parts, modes
-from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, one_axis, read_at_once, turned
+from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, motion, one_axis, read_at_once, turned
 from .pumps import driven_pump, steady_pump
 from .signals import Signals
 
@@ -76,10 +76,6 @@ def _dry(p: ComplexArray) -> ComplexArray:
     return (along + (np.log(4.0 * widths[0] / widths[1]) - 1.0) * across) / size
 
 
-def _motion(s: Signals, d: Linear) -> ComplexArray:
-    return s.once("motion", d, lambda: np.asarray(s.pick - s.drive @ d.E.T))
-
-
 def _swapped(x: ComplexArray) -> ComplexArray:
     return np.asarray(x[:, ::-1])
 
@@ -90,7 +86,7 @@ def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
 
 def _velocity(s: Signals, d: Linear) -> ComplexArray:
     """What damping acts on, over i omega0: of a wave that turns or grows the velocity is not quite the motion a quarter period on."""
-    p = _motion(s, d)
+    p = motion(s, d)
     return s.once("velocity", d, lambda: np.asarray(p + np.gradient(p, s.row_s, axis=0) / (1j * s.omega0_rad_s)))
 
 
@@ -130,9 +126,9 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """A lag that is short against the ramps is linear in its time; a longer one rounds their corners, and is tried as what it is."""
     if "tau" in setting:
         late = remembered(s, _reading, setting["tau"], steady=False) - _reading(s)
-        return [Part("share", "flow", 1j * d.frequency_slope_rad_s_k * late * _motion(s, d))]
+        return [Part("share", "flow", 1j * d.frequency_slope_rad_s_k * late * motion(s, d))]
     slope = np.gradient(s.reading_k, s.row_s)[:, None]
-    return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * _motion(s, d))]
+    return [Part("tau", "flow", -1j * d.frequency_slope_rad_s_k * slope * motion(s, d))]
 
 
 def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -142,7 +138,7 @@ def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
-    p = _motion(s, d)
+    p = motion(s, d)
     # what it does to the mean frequency is not told from a resonance that drifts: the two anisotropies alone name it
     return [*_anisotropy("k", rise * p, 1j), _beside("gain", "drive", _CHARGED_S * rise * s.drive)]
 
@@ -163,7 +159,7 @@ def _with_or_without_open_drive(signals: list[Signals]) -> list[Setting]:
 
 
 def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: complex) -> Form:
-    return Form(lambda s, d, g: [Part(parameter, "flow", factor * f(_motion(s, d))), *_skewed(_motion(s, d), f, factor)])
+    return Form(lambda s, d, g: [Part(parameter, "flow", factor * f(motion(s, d))), *_skewed(motion(s, d), f, factor)])
 
 
 def _skewed(
@@ -183,7 +179,7 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
     """A cubic force, isotropic or along each axis: one effect in two variants, the second with a name of its own."""
 
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-        p = _motion(s, d)
+        p = motion(s, d)
         if not setting["axes"]:
             return [Part(letter, "flow", factor * _isotropic_cubic(p)), *_skewed(p, _isotropic_cubic, factor)]
         # gains and phases of single axes leave a cube of that axis what it is
@@ -203,7 +199,7 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     An axis that is held at rest goes with the other by as much as the pick-offs are not square to each other: that is all of its friction,
     to either side. In open drive it goes as it is driven, with a phase of its own.
     """
-    p = _motion(s, d)
+    p = motion(s, d)
     if setting["axes"]:
         size = np.sqrt(_square(p))
         against = -p / np.sqrt(np.abs(p) ** 2 + (AT_REST * size) ** 2)
@@ -215,11 +211,11 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _stiffness(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
-    return Form(lambda s, d, g: [Part(parameter, "flow", 1j * x(s)[:, None] * _motion(s, d))])
+    return Form(lambda s, d, g: [Part(parameter, "flow", 1j * x(s)[:, None] * motion(s, d))])
 
 
 def _centrifugal(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    pulled = 1j * s.rate_rad_s[:, None] ** 2 * _motion(s, d)
+    pulled = 1j * s.rate_rad_s[:, None] ** 2 * motion(s, d)
     return _by_axis("flow", "k", pulled) if setting["axes"] else [Part("k", "flow", pulled)]
 
 
@@ -254,7 +250,7 @@ def _delayed(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 def _read_in_turns(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """y is late with the phase of its carrier: ``P J P^-1`` has ``-e^{i w tau}`` and ``e^{-i w tau}`` beside its diagonal."""
     away = -1j * (s.omega_rad_s - s.omega0_rad_s)[:, None]
-    crossed = 1j * s.omega0_rad_s * d.angular_gain * s.rate_rad_s[:, None] * _swapped(_motion(s, d))
+    crossed = 1j * s.omega0_rad_s * d.angular_gain * s.rate_rad_s[:, None] * _swapped(motion(s, d))
     return [
         Part("tau", "flow", crossed),
         read_at_once("tau", s, d, lambda v: one_axis(away * v, 1)),
@@ -272,7 +268,7 @@ def _softened(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     Volts that are held for a sample meet a motion that goes on: the drive in the square, or the motion, is half a sample late or is not,
     as a device has it.
     """
-    p = _motion(s, d)
+    p = motion(s, d)
     direct, pumped = 2.0 * np.abs(s.drive) ** 2 * p, s.drive**2 * p.conj()
     late = {"held": -2.0 * pumped, "met": direct - pumped}
     phases = [_beside(f"{of}_{n}", "flow", _HELD_RAD * one_axis(x, k)) for of, x in late.items() for k, n in enumerate("xy")]
@@ -284,7 +280,7 @@ def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     late = behind(s, setting["tau"])
     damped = _DAMPED * late * _velocity(s, d)
     unequal = [_beside("damped_c", "flow", damped * np.array([1.0, -1.0])), _beside("damped_s", "flow", _swapped(damped))]
-    return [*_anisotropy("k", late * _motion(s, d), 1j), *unequal]
+    return [*_anisotropy("k", late * motion(s, d), 1j), *unequal]
 
 
 def _fed_by_warmth(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -323,7 +319,7 @@ FORMS: dict[str, Form] = {
     "coulomb_friction": Form(_friction, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "coulomb_friction_axes"),
     "spurious_mode": Form(mode_parts, modes),
     "relaxation": Form(
-        lambda s, d, g: [Part("c", "flow", 1j * (remembered(s, lambda of: _motion(of, d), g["tau"]) - _motion(s, d)))], _times(0.02, 5.0, 7)
+        lambda s, d, g: [Part("c", "flow", 1j * (remembered(s, lambda of: motion(of, d), g["tau"]) - motion(s, d)))], _times(0.02, 5.0, 7)
     ),
     "parametric_pump": Form(steady_pump, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "parametric_pump_axes"),
     "driven_pump": Form(driven_pump),
@@ -354,7 +350,7 @@ FORMS: dict[str, Form] = {
     "thermal_damping": _damping("c", _warm),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
     "thermal_frequency_curvature": _stiffness("k", lambda s: s.temperature_k**2),
-    "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * _motion(s, d), 1j)),
+    "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 17)),
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
     "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
@@ -367,7 +363,7 @@ FORMS: dict[str, Form] = {
     "thermal_feedthrough": Form(_fed_by_warmth),
     "frequency_ageing": _stiffness("k", _late),
     "damping_drift": _damping("c", _late),
-    "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * _motion(s, d), 1j)),
+    "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
     "drive_gain_drift": _scaled_drive("drive", "g", _late, 1.0),
     "drive_phase_drift": _scaled_drive("drive", "g", _late, 1j),
@@ -375,9 +371,9 @@ FORMS: dict[str, Form] = {
     "pickoff_phase_drift": _read_by_axis("g", lambda s, v: 1j * _late(s)[:, None] * v),
     "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),
     "rate_dependent_damping": _damping("c", _rate),
-    "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * turned(_motion(s, d)))]),
+    "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * turned(motion(s, d)))]),
     "rate_nonlinearity": Form(
-        lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * turned(_motion(s, d)))]
+        lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * turned(motion(s, d)))]
     ),
-    "rate_asymmetry": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s**2)[:, None] * turned(_motion(s, d)))]),
+    "rate_asymmetry": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s**2)[:, None] * turned(motion(s, d)))]),
 }

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .followed import Followed
 from .signals import Signals
 
-__all__ = ["REST", "SKEW", "SPLIT", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "one_axis", "read_at_once", "turned"]
+__all__ = ["REST", "SKEW", "SPLIT", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "motion", "one_axis", "read_at_once", "turned"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -115,6 +115,11 @@ def one_axis(x: ComplexArray, axis: int) -> ComplexArray:
     out = np.zeros_like(x)
     out[:, axis] = x[:, axis]
     return out
+
+
+def motion(s: Signals, d: Linear) -> ComplexArray:
+    """Motion in pick-off volts, ``V - E u``, shape (n, 2)."""
+    return s.once("motion", d, lambda: np.asarray(s.pick - s.drive @ d.E.T))
 
 
 def turned(x: ComplexArray) -> ComplexArray:

@@ -40,7 +40,7 @@ _UNTURNED = 3e-5
 _TOLD_S = 0.05
 #: reaction of the diagonal of A to rate over kappa
 _SKEWED_RATE = 0.05
-#: how far the phases of the pick-offs of a healthy unit differ; effects.md 19 says to 0.01, of 13 units of four plants none came to 0.005
+#: how far the phases of the pick-offs of a healthy unit differ; effects.md 19 says to 0.01, of 15 units of four plants none came to 0.005
 _PHASE_RAD = 0.01
 #: a step is what changes within so long [s]; a log of more of them is a course
 _STEP_S, _MOST_STEPS = 0.1, 12
