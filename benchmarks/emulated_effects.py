@@ -173,6 +173,18 @@ EMULATED: tuple[Emulated, ...] = (
     ),
     E("thermal drive gain", "drive", lambda r, z: [1.0, -0.7] * _col(r.temperature_k) * r.drive, ("thermal_drive_gain",)),
     E("thermal pick-off gain", "output", lambda r, z: [1.0, -0.7] * _col(r.temperature_k) * r.pick, ("thermal_pickoff_gain",)),
+    E(
+        "drive gain curved in temperature",
+        "drive",
+        lambda r, z: [1.0, -0.7] * _col(r.temperature_k**2) * r.drive,
+        ("thermal_drive_gain_curvature",),
+    ),
+    E(
+        "pick-off gain curved in temperature",
+        "output",
+        lambda r, z: [1.0, -0.7] * _col(r.temperature_k**2) * r.pick,
+        ("thermal_pickoff_gain_curvature",),
+    ),
     E("thermal split", "flow", lambda r, z: 1j * _col(r.temperature_k) * _split(r.motion, z), ("thermal_split",)),
     E("pick-off lag", "output", lambda r, z: _low_pass(r.pick, 0.02, r.row_s) - r.pick, ("pickoff_lag", "pickoff_memory", "drive_lag")),
     E("relaxation", "flow", lambda r, z: 1j * (_low_pass(r.motion, 0.1, r.row_s) - r.motion), ("relaxation",)),

@@ -115,6 +115,19 @@ def cubes(a: ComplexArray) -> ComplexArray:
     return np.abs(a) ** 2 * a
 
 
+def across_gap(r: Rows) -> ComplexArray:
+    """Fundamental of ``V^2 u``."""
+    return np.asarray(np.abs(r.volts) ** 2 * r.u / 2.0 + r.volts**2 * r.u.conj() / 4.0)
+
+
+def coupled(r: Rows) -> ComplexArray:
+    """First harmonics of ``3 x^2 y, x^3`` and ``y^3, 3 x y^2`` over those of a cube: samples over a turn, not the closed form."""
+    turn = np.exp(1j * 2.0 * np.pi * np.arange(16) / 16)[:, None]
+    x, y = ((r.p[:, k] * turn).real for k in range(2))
+    forces = r.size["k_x"] * np.stack([3.0 * x**2 * y, x**3]) + r.size["k_y"] * np.stack([y**3, 3.0 * x * y**2])
+    return np.asarray(1j * 4.0 / 3.0 * 2.0 * (forces * turn.conj()).mean(axis=1).T)
+
+
 def isotropic(p: ComplexArray) -> ComplexArray:
     return (2.0 * (np.abs(p) ** 2).sum(axis=1, keepdims=True) * p + (p**2).sum(axis=1, keepdims=True) * p.conj()) / 3.0
 

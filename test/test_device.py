@@ -92,7 +92,7 @@ def test_averaged_nonlinear_force_is_the_first_harmonic_of_the_instant_one() -> 
     rng = np.random.default_rng(4)
     omega = 2.0
     for _ in range(5):
-        c = tuple(rng.standard_normal(6))
+        c = tuple(rng.standard_normal(8))
         x, y = complex(*rng.standard_normal(2)), complex(*rng.standard_normal(2))
         phase = np.linspace(0, 2 * math.pi, 64, endpoint=False)
         turn = np.exp(1j * phase)

@@ -21,10 +21,12 @@ from effect_samples import (
     ComplexArray,
     Form,
     Rows,
+    across_gap,
     assert_form,
     by_axis,
     clipped,
     compiled_only,
+    coupled,
     cubes,
     isotropic,
     measured,
@@ -52,6 +54,7 @@ def plain() -> Device:
 STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "duffing": ({"k": 0.5}, lambda r: 1j * r.size["k"] * isotropic(r.p)),
     "duffing_axes": ({"k_x": 0.5, "k_y": -0.3}, lambda r: 1j * by_axis(r, "k_x", "k_y") * cubes(r.p)),
+    "cubic_cross_stiffness_axes": ({"k_x": 0.5, "k_y": -0.3}, coupled),
     "cubic_cross_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * cubes(r.p)[:, ::-1]),
     "nonlinear_damping": ({"c": 0.5}, lambda r: -r.size["c"] * isotropic(r.p)),
     "nonlinear_damping_axes": ({"c_x": 0.5, "c_y": 0.8}, lambda r: -by_axis(r, "c_x", "c_y") * cubes(r.p)),
@@ -65,6 +68,7 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
         {"k_x": 0.05, "k_y": -0.03},
         lambda r: 1j * by_axis(r, "k_x", "k_y") * (2.0 * np.abs(r.u) ** 2 * r.p + r.u**2 * r.p.conj()),
     ),
+    "drive_gap": ({"d_x": 2e-3, "d_y": -3e-3}, lambda r: r.force(by_axis(r, "d_x", "d_y") * across_gap(r))),
     "drive_sag": ({"d": 0.02}, lambda r: r.force(r.size["d"] * (np.abs(r.u) ** 2).sum(axis=1, keepdims=True) * r.u)),
     "drive_cross_nonlinearity": ({"d": 0.02}, lambda r: r.force(r.size["d"] * cubes(r.u)[:, ::-1])),
     "pickoff_nonlinearity": ({"c_x": 2e-3, "c_y": -3e-3}, lambda r: r.reading(by_axis(r, "c_x", "c_y") * cubes(r.volts))),
@@ -94,8 +98,11 @@ def test_without_effects_nothing_is_left_over(plain: Device) -> None:
     assert np.abs(measured(plain, {}).rest).max() < 1e-5
 
 
+CARRIER_ONLY = {"drive_amplitude_phase", "drive_stiffness", "drive_gap", "pickoff_delay", "drive_delay"}
+
+
 @compiled_only
-@pytest.mark.parametrize("name", sorted(set(STATIC) - {"drive_amplitude_phase", "drive_stiffness", "pickoff_delay", "drive_delay"}))
+@pytest.mark.parametrize("name", sorted(set(STATIC) - CARRIER_ONLY))
 def test_slow_flow_has_the_same_effect(plain: Device, name: str) -> None:
     sizes, form = STATIC[name]
     rows, before = measured(plain, {name: sizes}, fidelity="slow_flow"), measured(plain, {}, fidelity="slow_flow")
@@ -180,6 +187,8 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_drive_gain": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.force(WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_drive_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.force(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_pickoff_gain": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.reading(WARM_K * by_axis(r, "g_x", "g_y") * r.p)),
+    "thermal_drive_gain_curvature": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.force(WARM_K**2 * by_axis(r, "g_x", "g_y") * r.u)),
+    "thermal_pickoff_gain_curvature": ({"g_x": 2e-5, "g_y": 3e-5}, lambda r: r.reading(WARM_K**2 * by_axis(r, "g_x", "g_y") * r.p)),
     "thermal_pickoff_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.reading(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.p)),
     "thermal_feedthrough": ({"e_x": 2e-3, "e_y": 3e-3}, lambda r: r.reading(WARM_K * by_axis(r, "e_x", "e_y") * r.u)),
     "frequency_ageing": ({"k": 0.1}, lambda r: 1j * r.size["k"] * r.t[:, None] * r.p),
@@ -360,26 +369,6 @@ def test_drive_below_half_a_step_does_nothing_and_one_above_is_stepped(plain: De
         assert abs(reached / full - share) < 0.05
 
 
-@compiled_only
-def test_gain_noise_grows_with_the_amplitude_and_is_in_phase_with_it(plain: Device) -> None:
-    """Open drive: the reading's in-phase scatter is ``s |V| sqrt(bandwidth)``, its quadrature is quiet."""
-    quiet = replace(
-        plain, noise=replace(plain.noise, pickoff_v_rthz=0.0, drive_v_rthz=0.0, thermomechanical=False),
-        environment=replace(plain.environment, wander_k=0.0),
-    )  # fmt: skip
-    s = 1e-5
-    simulator = GyroSimulator(replace(quiet, effects={"amplitude_noise": {"s": s}}), rng=np.random.default_rng(1))
-    simulator.configure(Command("loops_off", Excitation("drive", DRIVE_HZ, 0.0, 2.0, "x")))
-    simulator.advance(2.0)
-    rows = simulator.advance(8.0)
-    volts = (rows[:, 2] + 1j * rows[:, 3]) / complex(rows[:, 2].mean(), rows[:, 3].mean())
-    length = 10  # rows: means over 20 ms
-    means = volts.reshape(-1, length).mean(axis=1)
-    expected = s * math.sqrt(0.5 / (length / 500.0))
-    assert means.real.std() == pytest.approx(expected, rel=4.0 / math.sqrt(2.0 * means.size))
-    assert means.imag.std() < 0.05 * expected
-
-
 # ---------------------------------------------------------------- complete
 
 
@@ -387,7 +376,8 @@ def test_every_effect_is_tested_here() -> None:
     named = set(STATIC) | set(ENVIRONMENT) | set(LATE) | {name.split()[0] for name in MEMORY}
     alone = {
         "drive_saturation", "drive_dead_zone", "pickoff_saturation", "coulomb_friction", "quadratic_damping", "spurious_mode",
-        "thermal_lag", "external_tone", "mains_pickup", "pickoff_quantisation", "drive_quantisation", "amplitude_noise",  "driven_pump",
+        "thermal_lag", "external_tone", "mains_pickup", "pickoff_quantisation", "drive_quantisation", "amplitude_noise", "driven_pump",
+        "pickoff_gain_flicker", "drive_gain_flicker", "reference_spur",
     }  # fmt: skip
     assert named | alone == set(EFFECTS)
     assert not named & alone

@@ -9,10 +9,13 @@ __all__ = ["averaged_force", "instant_force"]
 
 @kernel
 def instant_force(x, y, vx, vy, c):  # type: ignore[no-untyped-def]
-    """N(z, z') [m/s^2] of displacement [m] and velocity [m/s]; ``c`` as ``Nonlinearity.coefficients``."""
+    """N(z, z') [m/s^2] of displacement [m] and velocity [m/s].
+
+    ``c``, shape (8,): ``Nonlinearity.coefficients`` and those of the potentials ``x^3 y`` and ``x y^3`` [1/(m^2 s^2)].
+    """
     square = x * x + y * y
-    fx = (c[0] * square + c[1] * x * x) * x + c[3] * y * y * y + c[5] * square * vx
-    fy = (c[0] * square + c[2] * y * y) * y + c[4] * x * x * x + c[5] * square * vy
+    fx = (c[0] * square + c[1] * x * x) * x + (c[3] + c[7]) * y * y * y + 3.0 * c[6] * x * x * y + c[5] * square * vx
+    fy = (c[0] * square + c[2] * y * y) * y + (c[4] + c[6]) * x * x * x + 3.0 * c[7] * x * y * y + c[5] * square * vy
     return fx, fy
 
 
@@ -30,6 +33,6 @@ def averaged_force(x, y, omega, c):  # type: ignore[no-untyped-def]
     stiff_y = 0.75 * yy * y + 0.5 * xx * y + 0.25 * x * x * yc
     damp_x = 1j * omega * (0.25 * xx * x + 0.5 * yy * x - 0.25 * y * y * xc)
     damp_y = 1j * omega * (0.25 * yy * y + 0.5 * xx * y - 0.25 * x * x * yc)
-    fx = c[0] * stiff_x + c[1] * 0.75 * xx * x + c[3] * 0.75 * yy * y + c[5] * damp_x
-    fy = c[0] * stiff_y + c[2] * 0.75 * yy * y + c[4] * 0.75 * xx * x + c[5] * damp_y
+    fx = c[0] * stiff_x + c[1] * 0.75 * xx * x + (c[3] + c[7]) * 0.75 * yy * y + c[6] * (1.5 * xx * y + 0.75 * x * x * yc) + c[5] * damp_x
+    fy = c[0] * stiff_y + c[2] * 0.75 * yy * y + (c[4] + c[6]) * 0.75 * xx * x + c[7] * (1.5 * yy * x + 0.75 * y * y * xc) + c[5] * damp_y
     return fx, fy

@@ -30,6 +30,20 @@ DRIVE = (
         ("duffing", "parametric_pump", "drive_amplitude_phase"),
     ),
     Effect(
+        "drive_gap", "Force of a drive that grows as its gap closes: gain by the square of the motion", "drive", (5, 33, 35),
+        pair("d_x d_y", "1/V^2", 1e-3, 1.0, "relative gain per squared motion of the axis, in pick-off volts"),
+        ("amplitudes",), BOTH,
+        "u_j += d_j (2 |V_j|^2 u_j + V_j^2 u_j*) / 4; per sample v (1 + d V^2)",
+        ("drive_nonlinearity", "driven_pump", "pickoff_nonlinearity"),
+    ),
+    Effect(
+        "drive_gain_flicker", "Gains of the drives flicker (bias voltage, reference, amplifier)", "drive", (45,),
+        tuple(positive(f"g_{axis}", "1/sqrt(Hz)", 3e-4, 0.1, f"one-sided density of the relative gain at 1 Hz, {axis}") for axis in "xy"),
+        ("time",), BOTH,
+        "u_j *= 1 + g_j n_j(t), n of density 1/f: noise of the amplitude in proportion to the damping; a variance effect",
+        ("pickoff_gain_flicker", "drive_gain_drift"),
+    ),
+    Effect(
         "drive_saturation", "Drive amplifier clips", "drive", (25,),
         (positive("level", "V", 0.5, 100.0, "largest carrier voltage of either axis", lower=1e-4),),
         ("large drive",), BOTH,

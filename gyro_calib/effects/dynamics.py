@@ -27,7 +27,14 @@ DYNAMICS = (
         (signed("k", "rad/s/V^2", 0.02, 10.0, "coupling rate per amplitude squared"),),
         ("amplitudes",), BOTH,
         "p_x' += i k |p_y|^2 p_y, p_y' += i k |p_x|^2 p_x; force -k3 (y^3, x^3)",
-        ("duffing_axes", "pickoff_cross_nonlinearity"),
+        ("cubic_cross_stiffness_axes", "duffing_axes", "pickoff_cross_nonlinearity"),
+    ),
+    Effect(
+        "cubic_cross_stiffness_axes", "Cubic stiffness that couples the axes, of the potentials x^3 y and x y^3", "dynamics", (7, 33),
+        pair("k_x k_y", "rad/s/V^2", 0.02, 10.0, "coupling rate per squared amplitude of the axis that is cubed"),
+        ("amplitudes",), BOTH,
+        "p_x' += i k_x (2 |p_x|^2 p_y + p_x^2 p_y*), p_y' += i k_x |p_x|^2 p_x, and k_y the other way; force -k3x (3 x^2 y, x^3)",
+        ("cubic_cross_stiffness", "duffing_axes"),
     ),
     Effect(
         "nonlinear_damping", "Damping that grows with the square of the velocity", "dynamics", (9,),

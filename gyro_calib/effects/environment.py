@@ -79,6 +79,20 @@ THERMAL = (
         ("thermal_drive_phase", "thermal_split"),
     ),
     Effect(
+        "thermal_drive_gain_curvature", "Drive gains that bend with the temperature, by axis", "environment", (29,),
+        pair("g_x g_y", "1/K^2", 1e-5, 5e-3, "relative gain per kelvin squared"),
+        ("temperature",), BOTH,
+        "u_j += g_j T^2 u_j",
+        ("thermal_drive_gain", "thermal_drive_gain_lag", "thermal_pickoff_gain_curvature"),
+    ),
+    Effect(
+        "thermal_pickoff_gain_curvature", "Pick-off gains that bend with the temperature, by axis", "environment", (29,),
+        pair("g_x g_y", "1/K^2", 1e-5, 5e-3, "relative gain per kelvin squared"),
+        ("temperature",), BOTH,
+        "V_j += g_j T^2 V_j",
+        ("thermal_pickoff_gain", "thermal_pickoff_gain_lag", "thermal_drive_gain_curvature"),
+    ),
+    Effect(
         "thermal_damping_lag", "Damping that follows the temperature late: hysteresis of the quality factor", "environment", (28, 30),
         (signed("c", "1/s/K", 0.002, 1.0, "decay rate per kelvin of the lag"), _LAG),
         ("temperature", "time"), BOTH,

@@ -101,6 +101,25 @@ PICKOFF = (
         ("pickoff_quantisation",),
     ),
     Effect(
+        "pickoff_gain_flicker", "Gains of the pick-offs flicker (bias voltage, reference)", "electronics", (45,),
+        tuple(
+            positive(f"g_{axis}", "1/sqrt(Hz)", 3e-5, 0.01, f"one-sided density of the relative gain at 1 Hz, {axis}") for axis in "xy"
+        ),
+        ("amplitudes",), BOTH,
+        "V_j *= 1 + g_j n_j(t), n of density 1/f: what moves by axis is noise of A through its derivative; a variance effect",
+        ("amplitude_noise", "drive_gain_flicker", "pickoff_gain_drift"),
+    ),
+    Effect(
+        "reference_spur", "Phase of the reference swings besides what its frequency says", "electronics", (46,),
+        (
+            positive("frequency_hz", "Hz", 20.0, 1000.0, "frequency of the swing", lower=0.1),
+            positive("s", "rad", 1e-5, 0.1, "its amplitude"),
+        ),
+        ("time",), BOTH,
+        "V and u are read in a frame that swings by s sin(2 pi frequency t), t the device time: i phi' p beside the slow flow",
+        ("mains_pickup",),
+    ),
+    Effect(
         "mains_pickup", "Hum of the mains on the pick-offs, about the carrier", "electronics", (46,),
         (
             positive("frequency_hz", "Hz", 50.0, 1000.0, "frequency of the hum", lower=0.1),

@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
 from .own_modes import mode_parts, modes
-from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, motion, one_axis, read_at_once, turned
+from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, beside, motion, one_axis, read_at_once, turned
 from .pumps import driven_pump, steady_pump
 from .signals import Signals
 
@@ -31,10 +32,9 @@ _UNLIKE: dict[str, ComplexArray] = {
     "mixed": np.array([[0.0, 0.5], [0.5, 0.0]], dtype=np.complex128),
     "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
 }
-#: what may come with an effect, over it: phase between the drives' volts and the motion that they meet, of converters that hold them
-#: [rad]; damping that a gradient of temperature makes unequal, over the split that it makes; gain of the drives, which goes as the charged
-#: bias, over the half split [s/rad]; what feeds through to the other axis, over what does to its own
-_HELD_RAD, _DAMPED, _CHARGED_S, _ACROSS = 0.2, 0.3, 3.0, 0.3
+#: what may come with an effect, over it: damping that a gradient of temperature makes unequal, over the split that it makes; gain of the
+#: drives, which goes as the charged bias, over the half split [s/rad]; what feeds through to the other axis, over what does to its own
+_DAMPED, _CHARGED_S, _ACROSS = 0.3, 3.0, 0.3
 #: of these what lets one axis see the other
 _CROSSED = ("mixed", "late")
 _STEP = 1e-4
@@ -99,11 +99,6 @@ def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
     ]
 
 
-def _beside(name: str, kind: Kind, x: ComplexArray) -> Part:
-    """What may come with an effect, as large as ``x`` for one unit of it, to either side."""
-    return Part(f"{SKEW}_{name}", kind, x / UNEQUAL)
-
-
 def _lag(s: Signals, x: ComplexArray) -> ComplexArray:
     return np.asarray(-np.gradient(x, s.row_s, axis=0))
 
@@ -140,7 +135,7 @@ def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
     p = motion(s, d)
     # what it does to the mean frequency is not told from a resonance that drifts: the two anisotropies alone name it
-    return [*_anisotropy("k", rise * p, 1j), _beside("gain", "drive", _CHARGED_S * rise * s.drive)]
+    return [*_anisotropy("k", rise * p, 1j), beside("gain", "drive", _CHARGED_S * rise * s.drive)]
 
 
 def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], list[Part]]:
@@ -193,6 +188,17 @@ def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
     return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
 
 
+def _coupled(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """Cubes of each axis on the other; or the forces of the potentials ``x^3 y`` and ``x y^3``."""
+    p = motion(s, d)
+    if not setting["axes"]:
+        return [Part("k", "flow", 1j * _swapped(cube(p))), *_skewed(p, lambda v: _swapped(cube(v)), 1j)]
+    square, beside = np.abs(p) ** 2, _swapped(p)
+    back = 2.0 * square * beside + p**2 * beside.conj()
+    cubed = _swapped(cube(p))
+    return [Part(f"k_{n}", "flow", 1j * (one_axis(back, k) + one_axis(cubed, 1 - k))) for k, n in enumerate("xy")]
+
+
 def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """Dry friction, against the velocity or of each axis by itself.
 
@@ -225,6 +231,10 @@ def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
 
 def _warm(s: Signals) -> FloatArray:
     return s.temperature_k
+
+
+def _warm_squared(s: Signals) -> FloatArray:
+    return s.temperature_k**2
 
 
 def _late(s: Signals) -> FloatArray:
@@ -262,24 +272,11 @@ def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return _by_axis("drive", "tau", _lag(s, s.drive) - 1j * (s.omega_rad_s - s.omega0_rad_s)[:, None] * s.drive)
 
 
-def _softened(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier.
-
-    Volts that are held for a sample meet a motion that goes on: the drive in the square, or the motion, is half a sample late or is not,
-    as a device has it.
-    """
-    p = motion(s, d)
-    direct, pumped = 2.0 * np.abs(s.drive) ** 2 * p, s.drive**2 * p.conj()
-    late = {"held": -2.0 * pumped, "met": direct - pumped}
-    phases = [_beside(f"{of}_{n}", "flow", _HELD_RAD * one_axis(x, k)) for of, x in late.items() for k, n in enumerate("xy")]
-    return [*_by_axis("flow", "k", 1j * (direct + pumped)), *phases]
-
-
 def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """What a shell that is not warm throughout does: it splits the frequency, and damps unequally as well."""
     late = behind(s, setting["tau"])
     damped = _DAMPED * late * _velocity(s, d)
-    unequal = [_beside("damped_c", "flow", damped * np.array([1.0, -1.0])), _beside("damped_s", "flow", _swapped(damped))]
+    unequal = [beside("damped_c", "flow", damped * np.array([1.0, -1.0])), beside("damped_s", "flow", _swapped(damped))]
     return [*_anisotropy("k", late * motion(s, d), 1j), *unequal]
 
 
@@ -287,9 +284,9 @@ def _fed_by_warmth(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """Of the axis' own drive in phase; as much in quadrature, and across what feeds through there, may come with that."""
     fed, own = _warm(s)[:, None] * s.drive, np.abs(np.diag(d.E))
     crossed = np.clip(np.abs(np.array([d.E[0, 1], d.E[1, 0]])) / np.maximum(own, 1e-12), _ACROSS, 1.0 / _ACROSS)
-    late = [_beside(f"late_{n}", "output", 1j * one_axis(fed, k)) for k, n in enumerate("xy")]
+    late = [beside(f"late_{n}", "output", 1j * one_axis(fed, k)) for k, n in enumerate("xy")]
     across = [
-        _beside(f"across_{n}{q}", "output", crossed[k] * f * one_axis(_swapped(fed), k))
+        beside(f"across_{n}{q}", "output", crossed[k] * f * one_axis(_swapped(fed), k))
         for k, n in enumerate("xy")
         for q, f in (("c", 1.0), ("s", 1j))
     ]
@@ -313,7 +310,7 @@ _WARM_UP = _times(2.0, 100.0, 5)
 FORMS: dict[str, Form] = {
     # dynamics
     "duffing": _cubic("k", 1j, "duffing_axes"),
-    "cubic_cross_stiffness": _flow("k", lambda p: _swapped(cube(p)), 1j),
+    "cubic_cross_stiffness": Form(_coupled, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "cubic_cross_stiffness_axes"),
     "nonlinear_damping": _cubic("c", -1.0, "nonlinear_damping_axes"),
     "quadratic_damping": _flow("c", _quadratic, -1.0),
     "coulomb_friction": Form(_friction, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "coulomb_friction_axes"),
@@ -328,7 +325,8 @@ FORMS: dict[str, Form] = {
     "drive_nonlinearity": _driven_cube("d", 1.0),
     "drive_amplitude_phase": _driven_cube("d", 1j),
     "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
-    "drive_stiffness": Form(_softened),
+    "drive_stiffness": Form(softened),
+    "drive_gap": Form(across_gap),
     "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", clipped(s.drive, g["level"]))], limit_settings("drive")),
     "drive_dead_zone": Form(dead_drive, dead_settings),
@@ -349,12 +347,14 @@ FORMS: dict[str, Form] = {
     # environment
     "thermal_damping": _damping("c", _warm),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
-    "thermal_frequency_curvature": _stiffness("k", lambda s: s.temperature_k**2),
+    "thermal_frequency_curvature": _stiffness("k", _warm_squared),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 17)),
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
     "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
+    "thermal_drive_gain_curvature": _scaled_drive("drive", "g", _warm_squared, 1.0),
+    "thermal_pickoff_gain_curvature": _read_by_axis("g", lambda s, v: _warm_squared(s)[:, None] * v),
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
     "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * _velocity(s, d))], _WARM_UP),
     "thermal_split_lag": Form(_gradient, _WARM_UP),

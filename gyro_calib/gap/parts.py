@@ -12,7 +12,22 @@ from numpy.typing import NDArray
 from .followed import Followed
 from .signals import Signals
 
-__all__ = ["REST", "SKEW", "SPLIT", "UNEQUAL", "Form", "Kind", "Linear", "Part", "Setting", "motion", "one_axis", "read_at_once", "turned"]
+__all__ = [
+    "REST",
+    "SKEW",
+    "SPLIT",
+    "UNEQUAL",
+    "Form",
+    "Kind",
+    "Linear",
+    "Part",
+    "Setting",
+    "beside",
+    "motion",
+    "one_axis",
+    "read_at_once",
+    "turned",
+]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -108,6 +123,11 @@ class Form:
     parts: Callable[[Signals, Linear, Setting], list[Part]]
     settings: Callable[[list[Signals]], list[Setting]] = lambda signals: [{}]
     per_axis: str | None = None
+
+
+def beside(name: str, kind: Kind, x: ComplexArray) -> Part:
+    """What may come with an effect, as large as ``x`` for one unit of it, to either side."""
+    return Part(f"{SKEW}_{name}", kind, x / UNEQUAL)
 
 
 def one_axis(x: ComplexArray, axis: int) -> ComplexArray:

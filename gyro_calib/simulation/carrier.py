@@ -17,7 +17,7 @@ from .control import control_step
 from .control_layout import S_BODY, S_DRIVE, S_OMEGA, S_PHASE, S_SLOT, middle_motion
 from .effect_forces import pump_stiffness
 from .effect_kernels import always_on_forces, effect_samples, stray_feeds
-from .effect_layout import E_GAIN
+from .effect_layout import E_GAIN, E_SPUR, E_SPUR_OMEGA, M_TIME
 from .effect_memory import drive_phasors, pick_phasors
 from .multiplex import READ_X, READ_Y, hold_columns, slot_envelope, slot_gains
 from .propagator import exact_propagator, stiffness_step
@@ -115,7 +115,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
         Drive that reaches the electrodes besides the command [V]: re, im of x, y.
     body : float
         Force per mass and volt of the body excitation [m/s^2/V].
-    nonlinear : ndarray, shape (6,)
+    nonlinear : ndarray, shape (8,)
         See :class:`gyro_calib.device.Nonlinearity`.
     converters : ndarray, shape (8,)
         ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic of x [1/V^2], one over the gap of x and y in pick-off volts
@@ -207,7 +207,9 @@ def carrier_rows(  # type: ignore[no-untyped-def]
             eyr = feed[4] * uxc - feed[5] * uxs + feed[6] * uyc - feed[7] * uys
             eyi = feed[4] * uxs + feed[5] * uxc + feed[6] * uys + feed[7] * uyc
             turn_c, turn_s = math.cos(omega * dt), math.sin(omega * dt)
-            c, s = math.cos(phase), math.sin(phase)
+            # demodulator and modulator share the reference, and what swings it
+            read = phase + effect[E_SPUR] * math.sin(effect[E_SPUR_OMEGA] * memory[M_TIME]) if effects_on else phase
+            c, s = math.cos(read), math.sin(read)
             if effects_on:
                 z[0], z[1], z[2], z[3] = x, y, vx, vy
                 always = always_on_forces(z, memory, effect, b, c, s, ca, sa, wxr, wxi, wyr, wyi)
@@ -216,7 +218,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 gain = 1.0 + effect[E_GAIN] * gain_noise[row * controls + step] if gain_noise.size > 0 else 1.0
                 effect_samples(
                     z, volts, memory, effect, effect_rows[row], phi, gamma, b, pk, (axr, axi, ayr, ayi), always, feeds, pump,
-                    phase, omega, dt, w, settling, factor, gain, kick, pick_noise, nonlinear, converters, noise, n,
+                    read, omega, dt, w, settling, factor, gain, kick, pick_noise, nonlinear, converters, noise, n,
                 )  # fmt: skip
                 x, y, vx, vy = z[0], z[1], z[2], z[3]
                 n += 4 * samples
@@ -256,13 +258,13 @@ def carrier_rows(  # type: ignore[no-untyped-def]
                 c, s = c * turn_c - s * turn_s, s * turn_c + c * turn_s
                 n += 4
             if raw_on:
-                _write_raw(volts, phase, omega * dt, axr, axi, ayr, ayi, settling, out[row], 9 + RAW_CHANNELS * samples * step)
+                _write_raw(volts, read, omega * dt, axr, axi, ayr, ayi, settling, out[row], 9 + RAW_CHANNELS * samples * step)
             if multiplexed:
                 slot = int(loop[S_SLOT])
                 if slot == READ_X:
-                    n00, n01 = slot_envelope(volts, 0, phase, omega * dt, settling)
+                    n00, n01 = slot_envelope(volts, 0, read, omega * dt, settling)
                 elif slot == READ_Y:
-                    n02, n03 = slot_envelope(volts, 2, phase, omega * dt, settling)
+                    n02, n03 = slot_envelope(volts, 2, read, omega * dt, settling)
                 due = slot == READ_Y
             phase = (phase + omega * dt * samples) % (2.0 * math.pi)
             xc, xs, yc, ys = n00, n01, n02, n03

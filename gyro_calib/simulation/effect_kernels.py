@@ -12,6 +12,8 @@ from ..jit import kernel
 from .effect_forces import bends_drive, drive_stage, opposes_motion, velocity_force
 from .effect_layout import (
     E_CONSTANT,
+    E_GAP_X,
+    E_GAP_Y,
     E_HOLD,
     E_HUM_OMEGA,
     E_HUM_X,
@@ -140,7 +142,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
     p0, p1, p2, p3, p4, p5, p6, p7 = pk[0], pk[1], pk[2], pk[3], pk[4], pk[5], pk[6], pk[7]
     mode_xx, mode_xy, mode_yx, mode_yy = effect[E_MODE_XX], effect[E_MODE_XY], effect[E_MODE_YX], effect[E_MODE_YY]
     read_x, read_y, read_cross = effect[E_READ_X], effect[E_READ_Y], effect[E_READ_CROSS]
-    soft_x, soft_y = effect[E_SOFT_X], effect[E_SOFT_Y]
+    soft_x, soft_y, gap_x, gap_y = effect[E_SOFT_X], effect[E_SOFT_Y], effect[E_GAP_X], effect[E_GAP_Y]
     # what is held over a sample stands for the phase in its middle, the motion that it meets is that of its start
     half_c, half_s = math.cos(0.5 * omega * dt), math.sin(0.5 * omega * dt)
     pump_xc, pump_xs, pump_yc, pump_ys = pump
@@ -177,6 +179,14 @@ def effect_samples(  # type: ignore[no-untyped-def]
             if bent:
                 nowx, nowy = drive_stage(nowx, nowy, effect)
                 agox, agoy = drive_stage(agox, agoy, effect)
+            if gap_x != 0.0 or gap_y != 0.0:
+                # the motion in the middle of what is held, and a quarter of a cycle before
+                hx, hy = (p0 * x + p1 * vx) + (p2 * y + p3 * vy), (p4 * x + p5 * vx) + (p6 * y + p7 * vy)
+                qx, qy = (p1 * x - p0 * vx) + (p3 * y - p2 * vy), (p5 * x - p4 * vx) + (p7 * y - p6 * vy)
+                hx, qx = hx * half_c - qx * half_s, qx * half_c + hx * half_s
+                hy, qy = hy * half_c - qy * half_s, qy * half_c + hy * half_s
+                nowx, nowy = nowx * (1.0 + gap_x * hx * hx), nowy * (1.0 + gap_y * hy * hy)
+                agox, agoy = agox * (1.0 + gap_x * qx * qx), agoy * (1.0 + gap_y * qy * qy)
             metx, mety = nowx * half_c + agox * half_s, nowy * half_c + agoy * half_s
             forcex += factor * ((b0 * nowx - b1 * agox) + (b2 * nowy - b3 * agoy))
             forcey += factor * ((b4 * nowx - b5 * agox) + (b6 * nowy - b7 * agoy))

@@ -31,7 +31,11 @@ E_LATE_X, E_LATE_Y = 59, 60
 E_FRICTION_X, E_FRICTION_Y = 61, 62
 # parametric pump: cos and sin of x, of y [1/s^2], and per volt of the amplitude loop's command [1/s^2/V]
 E_PUMP, E_DRIVEN_PUMP = 63, 67
-N_EFFECT = 71
+# spur of the reference: its phase [rad] and angular frequency [rad/s]
+E_SPUR, E_SPUR_OMEGA = 71, 72
+# gain of the drives by the squared motion of x and of y [1/V^2]
+E_GAP_X, E_GAP_Y = 73, 74
+N_EFFECT = 75
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed

@@ -22,6 +22,7 @@ SLOW_EFFECTS = frozenset(
         "thermal_damping", "thermal_damping_anisotropy", "thermal_frequency_curvature", "thermal_split", "thermal_lag",
         "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
+        "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
         "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
         "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "centrifugal_stiffness_axes", "rate_dependent_damping",
         "angular_gain_error", "rate_nonlinearity", "rate_asymmetry",
@@ -114,6 +115,7 @@ class SlowEffects:
     def _factor(self, chain: str, t: FloatArray, rise: FloatArray) -> ComplexArray:
         gain = 1.0 + self._pair(f"thermal_{chain}_gain", "g_x", "g_y", rise) + self._pair(f"{chain}_gain_drift", "g_x", "g_y", t)
         late = f"thermal_{chain}_gain_lag"
+        gain = gain + self._pair(f"thermal_{chain}_gain_curvature", "g_x", "g_y", rise**2)
         gain = gain + self._pair(late, "g_x", "g_y", self._behind(late, rise))
         phase = self._pair(f"thermal_{chain}_phase", "g_x", "g_y", rise) + self._pair(f"{chain}_phase_drift", "g_x", "g_y", t)
         return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)

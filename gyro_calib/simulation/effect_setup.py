@@ -24,9 +24,12 @@ _PLAIN = SLOW_EFFECTS | {
     "duffing",
     "duffing_axes",
     "cubic_cross_stiffness",
+    "cubic_cross_stiffness_axes",
     "pickoff_nonlinearity",
     "pickoff_saturation",
     "pickoff_quantisation",
+    "pickoff_gain_flicker",
+    "drive_gain_flicker",
 }
 
 
@@ -55,7 +58,11 @@ def refuse_without_envelope(device: Device) -> None:
         Names the effects and the remedy.
     """
     # of a skew of microseconds P has all that the envelope shows
-    here = ENVELOPE_EFFECTS | SLOW_EFFECTS | {"duffing", "duffing_axes", "cubic_cross_stiffness", "multiplexing_skew"}
+    here = (
+        ENVELOPE_EFFECTS
+        | SLOW_EFFECTS
+        | {"duffing", "duffing_axes", "cubic_cross_stiffness", "cubic_cross_stiffness_axes", "multiplexing_skew"}
+    )
     if device.multiplexing.enabled:  # a drive in slots bends at the volts of its slot
         here -= {name for name in here if name.startswith("drive_") and not name.endswith("_drift")}
     if device.drive.at_twice_frequency:  # a force besides the drives does not go with the motion
@@ -69,7 +76,7 @@ def refuse_without_envelope(device: Device) -> None:
 
 
 def nonlinear_coefficients(device: Device) -> FloatArray:
-    """Cubic forces of the device with those of its effects, as :class:`gyro_calib.device.Nonlinearity` has them, shape (6,).
+    """Cubic forces of the device with those of its effects, as :func:`gyro_calib.device.averaging.instant_force` takes them, shape (8,).
 
     A force ``-k3 x^3`` shifts the frequency by ``(3/8) k3 a^2 / w``: ``k3 = (8/3) w k g^2`` for ``k a^2`` in pick-off volts, g in V/m.
     """
@@ -77,7 +84,8 @@ def nonlinear_coefficients(device: Device) -> FloatArray:
     scale = 8.0 / 3.0 * device.resonator.omega0_rad_s * device.pickoff.gain_v_per_m**2
     cross = size("cubic_cross_stiffness", "k")
     added = [size("duffing", "k"), size("duffing_axes", "k_x"), size("duffing_axes", "k_y"), cross, cross, 0.0]
-    return np.array(device.nonlinearity.coefficients) + scale * np.array(added)
+    coupled = [size("cubic_cross_stiffness_axes", name) for name in ("k_x", "k_y")]
+    return np.concatenate([np.array(device.nonlinearity.coefficients) + scale * np.array(added), scale * np.array(coupled)])
 
 
 def converter_constants(device: Device) -> FloatArray:
@@ -158,6 +166,7 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
         effect[at.E_PUMP + k], effect[at.E_DRIVEN_PUMP + k] = 4.0 * w * steady, 4.0 * w * size("driven_pump", f"h_{place}")
     # a stiffness kappa v^2 of both amplitudes gives p' = (i kappa/2w)(|u|^2 p/2 + u^2 p*/4)
     effect[at.E_SOFT_X], effect[at.E_SOFT_Y] = (8.0 * w * size("drive_stiffness", name) for name in ("k_x", "k_y"))
+    effect[at.E_GAP_X], effect[at.E_GAP_Y] = (size("drive_gap", name) for name in ("d_x", "d_y"))
     effect[at.E_RELAX] = 2.0 * w * size("relaxation", "c")
     effect[at.E_RELAX_KEEP] = math.exp(-effect[at.E_PERIOD] / size("relaxation", "tau", 1.0))
     effect[at.E_CONSTANT : at.E_CONSTANT + 4] = [size("constant_force", name) for name in ("f_xc", "f_xs", "f_yc", "f_ys")]
@@ -166,6 +175,7 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     effect[at.E_TONE_OMEGA] = 2.0 * math.pi * size("external_tone", "frequency_hz")
     effect[at.E_TONE_X], effect[at.E_TONE_Y] = size("external_tone", "a_x"), size("external_tone", "a_y")
     effect[at.E_TONE_PHASE] = size("external_tone", "phase_rad")
+    effect[at.E_SPUR], effect[at.E_SPUR_OMEGA] = size("reference_spur", "s"), 2.0 * math.pi * size("reference_spur", "frequency_hz")
 
 
 def _drive(effect: FloatArray, size: _Sizes, step_v: float) -> None:

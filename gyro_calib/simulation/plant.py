@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +25,7 @@ from .effect_setup import (
     started_memory,
     uses_kernel,
 )
-from .flicker import FlickerSource
+from .flicker import GAIN_TIMES_S, FlickerSource, floor_of_density
 from .normals import NormalSource
 from .propagator import MOTION
 from .slow_flow import slow_flow_rows
@@ -129,6 +130,19 @@ class _Base:
         return self._normals.draw(count) if self.noisy else np.zeros(count, dtype=np.float32)
 
 
+class _GainFlicker:
+    """Gains of both axes that flicker row by row, of an effect's sizes."""
+
+    def __init__(self, device: Device, effect: str, rng: np.random.Generator) -> None:
+        own = np.random.default_rng(rng.integers(0, 2**63, size=4))
+        self._floor = np.array([floor_of_density(device.effects[effect].get(name, 0.0)) for name in ("g_x", "g_y")])
+        self._source = FlickerSource(own, 1.0, 2, 1.0 / device.electronics.sample_rate_hz, GAIN_TIMES_S)
+
+    def rows(self, count: int) -> FloatArray:
+        """Factors of the next rows, shape (count, 2)."""
+        return np.asarray(1.0 + self._floor * self._source.rows(count))
+
+
 class CarrierPlant(_Base):
     """Every converter sample."""
 
@@ -155,6 +169,12 @@ class CarrierPlant(_Base):
             self.memory = started_memory(self.effect, start.pick, volts, start.drive, unpick)
         # a stream of its own: a device without this noise keeps its rows
         self._gain_noise = np.random.default_rng(rng.integers(0, 2**63, size=4)) if noisy and "amplitude_noise" in device.effects else None
+        # and so have gains that flicker
+        self._flicker_of = {
+            chain: _GainFlicker(device, f"{chain}_gain_flicker", rng)
+            for chain in ("pickoff", "drive")
+            if noisy and f"{chain}_gain_flicker" in device.effects
+        }
         self.flags = (
             (carrier.FLAG_NONLINEAR if self.nonlinear.any() else 0)
             | (carrier.FLAG_PICKOFF_CUBIC if self.converters[4] or self.converters[7] else 0)
@@ -211,6 +231,10 @@ class CarrierPlant(_Base):
         r = self.device.resonator
         omega = r.omega0_rad_s * (1.0 + r.frequency_tempco_per_k * (temperature_degc - r.reference_temperature_degc))
         terms = self._slow.terms(rate_rad_s, temperature_degc)
+        if (source := self._flicker_of.get("pickoff")) is not None:
+            terms = replace(terms, pick=terms.pick * source.rows(len(rate_rad_s)))
+        if (source := self._flicker_of.get("drive")) is not None:
+            terms = replace(terms, drive=terms.drive * source.rows(len(rate_rad_s)))
         mode = 2.0 * math.pi * self.device.effects.get("spurious_mode", {}).get("separation_hz", 0.0)
         return *add_to_carrier(terms, physics, drive, pick, omega), kernel_rows(terms, omega + mode)
 

@@ -83,7 +83,7 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
         Drive that reaches the electrodes besides the command [V]: re, im of x, y.
     pick, unpick : ndarray, shape (2, 2), complex
         P [V/m] and its inverse, for the nonlinear forces.
-    nonlinear : ndarray, shape (6,)
+    nonlinear : ndarray, shape (8,)
         ``Nonlinearity.coefficients``.
     feed : ndarray, shape (8,)
         E: re, im of xx, xy, yx, yy.
