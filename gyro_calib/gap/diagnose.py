@@ -18,6 +18,7 @@ from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .flow_left import flows_left
+from .gain_flicker import with_gain_flicker
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
 from .jumps import find_jumps
@@ -81,6 +82,7 @@ def diagnose(
     warnings = [*warnings, *said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
     report(0.7, "selecting effects")
     beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out), model, recordings, left_out)
+    beside = with_gain_flicker(beside, model.evidence, model.linear, model.noise, left_out)
     selection = _without_products(model, select_effects(model), beside)
     chosen = [e.candidate for e in selection.effects]
     rich = model.fitted(chosen) if chosen else model.base

@@ -10,7 +10,7 @@ the drives, twenty times what they are told to. How much of an effect the first 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,10 @@ class Followed:
     names: tuple[str, ...]
     whitener: Whitener = field(repr=False)
     answer: FloatArray = field(repr=False)
+
+    def with_wander(self, rad_s: Sequence[FloatArray]) -> Followed:
+        """The same, with what wandered within recordings besides [rad/s]."""
+        return replace(self, rad_s=tuple(a + b for a, b in zip(self.rad_s, rad_s, strict=True)))
 
     def moved_by(self, signal: Sequence[ComplexArray]) -> dict[str, float]:
         """What a column at the signal's lines (by recording, turned) was taken for, by unknown."""

@@ -18,6 +18,7 @@ from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
 from .evidence import CHANNELS, CampaignEvidence
+from .flickers import flickers
 from .floors import course_beside_floors, hidden_by_floors
 from .followed import followed_of
 from .linear_device import frequency_columns, knows_its_resonance, linear_columns, linear_of, target_of
@@ -34,6 +35,7 @@ from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
 from .thermometer import THERMOMETER, own_columns, sensor_late_s, thermometer_columns
+from .wander import wander_within
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -187,7 +189,7 @@ def look_at(
     courses = courses_of(evidence, linear, read_late=sensor_s > 0.0)
     report(0.75, "noise")
     plain = plain_noise(evidence, nuisances, angular_gain)
-    drifts = slow_drifts(evidence, linear)
+    drifts = slow_drifts(evidence, linear, flickers(evidence, linear, plain.noise))
     whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     course = courses.best(screener, whitener)
@@ -370,8 +372,11 @@ def _told(
     design = whitener.design(columns, len(evidence))
     solution = solve(columns, design, target)
     values = solution.by_name()
-    followed = followed_of(evidence, solution, whitener, design) if knows_its_resonance(evidence, values) else None
-    return linear_of(evidence, values, angular_gain, followed), values
+    if not knows_its_resonance(evidence, values):
+        return linear_of(evidence, values, angular_gain), values
+    followed = followed_of(evidence, solution, whitener, design)
+    linear = linear_of(evidence, values, angular_gain, followed)
+    return replace(linear, followed=followed.with_wander(wander_within(evidence, linear))), values
 
 
 def _in_time(

@@ -29,6 +29,8 @@ _COSINES, _OF_CASE = 8, ("strayc", "strays", "gain", "phase")
 #: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate, damping and
 #: split over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
 _STRAY, _GAIN, _PHASE, _RATE, _DAMPING, _SPLIT = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5, 3e-5
+#: how much larger cosines may be than the flicker that is measured
+_ABOVE = 2.0
 #: how far a resonance wanders between records at most, over its frequency: its millikelvins, which take minutes
 MOST_WANDER = 5e-7
 
@@ -49,16 +51,30 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
     return parts + [Part(f"split.{name}", "flow", 1j * closed * (motion @ shape)) for name, shape in zip("cs", SPLIT, strict=True)]
 
 
-def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0) -> list[Column]:
     """Slow cosines of everything that drifts, as large as they may be at most; named ``drift.family.axis.k``.
 
-    And what stands still in the case in each recording whose wave turns past it: ``drift.family.axis.of_index``.
+    And what stands still in the case in each recording whose wave turns past it: ``drift.family.axis.of_index``; gains that flicker in
+    every one.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    linear : Linear
+    flicker : float
+        Density at 1 Hz of gains that flicker more than healthy ones [1/sqrt(Hz)]: their half cosines have variances of its square over k.
     """
     base = part_columns(evidence, [_parts(r, linear) for r in evidence], linear)
     times = np.array([float(r.signals.time_s.mean()) for r in evidence])
     phase = np.pi * (times - times.min()) / max(float(np.ptp(times)), 1.0)
     volts = float(np.median([np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))) for r in evidence if r.is_wave]))
-    largest = {"strayc": _STRAY * volts, "strays": _STRAY * volts, "gain": _GAIN, "phase": _PHASE, "rate": _RATE * evidence.decay_rate}
+    largest = {
+        "strayc": _STRAY * volts,
+        "strays": _STRAY * volts,
+        "gain": max(_GAIN, _ABOVE * flicker),
+        "phase": _PHASE,
+        "rate": _RATE * evidence.decay_rate,
+    }
     largest |= {"damping": _DAMPING * evidence.decay_rate, "frequency": MOST_WANDER * evidence.omega0_rad_s}
     largest["split"] = _SPLIT * evidence.decay_rate
     columns = []
@@ -68,17 +84,19 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
             shape = np.cos(k * phase)
             signal, quiet = (tuple(float(c) * v for c, v in zip(shape, of, strict=True)) for of in (column.signal, column.quiet))
             columns.append(Column(f"drift.{column.name}.{k}", signal, quiet, largest[family] / np.sqrt(k)))
-        columns += _of_turning(evidence, column, largest[family]) if family in _OF_CASE else []
+        if family in _OF_CASE:
+            columns += _of_recordings(evidence, column, largest[family], every=family == "gain" and flicker > 0.0)
     return [c for c in columns if any(np.any(v) for v in c.signal)]
 
 
-def _of_turning(evidence: CampaignEvidence, column: Column, size: float) -> list[Column]:
-    """What a family does in each recording whose wave turns: of the sum of 1/k, half of that between its cosines and the recording."""
+def _of_recordings(evidence: CampaignEvidence, column: Column, size: float, *, every: bool) -> list[Column]:
+    """What a family does in each recording whose wave turns, or in ``every`` one: of the sum of 1/k, half of that between its cosines and
+    the recording."""
     span_s = max(float(r.signals.time_s[-1]) for r in evidence) - min(float(r.signals.time_s[0]) for r in evidence)
     columns = []
     for k, r in enumerate(evidence):
         faster = 2.0 * span_s / (_COSINES * r.recording.duration_s)
-        if r.is_wave and r.signal.turn_rad > math.pi and faster > 1.0:
+        if (every or (r.is_wave and r.signal.turn_rad > math.pi)) and faster > 1.0:
             signal, quiet = (tuple(v if j == k else np.zeros_like(v) for j, v in enumerate(of)) for of in (column.signal, column.quiet))
             columns.append(Column(f"drift.{column.name}.of_{r.index}", signal, quiet, size * math.sqrt(0.5 * math.log(faster))))
     return columns

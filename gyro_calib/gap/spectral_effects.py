@@ -15,13 +15,14 @@ from .converter_steps import ConverterSteps, converter_steps
 from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
 from .parts import Linear
+from .reference_spur import phase_swing
 from .spectra import near_line, pick_spectra
 from .tones import Tone, find_tone
 
 __all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "found_beside", "spectral_effects"]
 
 #: effects that are found here: in the spectra, and in samples at the converters' rate
-SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise")
+SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise", "reference_spur")
 SAMPLED = ("pickoff_quantisation",)
 
 #: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
@@ -79,8 +80,13 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     effects = []
     if tone is not None and tone.name not in left_out and not tone.of_wave:
         effects.append(_tone(tone, left_out))
+    swing = phase_swing(recordings, linear, tone.frequency_hz) if tone is not None and tone.of_wave else None
+    if tone is not None and swing is not None and "reference_spur" not in left_out:
+        effects.append(_spur(tone, swing))
     # a line that grows with the wave is all of a floor that does
-    rippling = _rippling_gain(tone)
+    rippling = _rippling_gain(tone, swing)
+    if any(e.name == "reference_spur" for e in effects):
+        rippling, growth = None, None
     if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
     rounded = steps is not None and steps.undithered and "pickoff_quantisation" not in left_out
@@ -143,11 +149,17 @@ def _sampled(recordings: Sequence[Recording]) -> bool:
     return any(channel in (r.raw or {}) for r in recordings for channel in ("x_pick", "y_pick"))
 
 
-def _rippling_gain(tone: Tone | None) -> Unknown | None:
+def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
+    parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz"), "s": Quantity(*swing, "rad")}
+    return found_beside("reference_spur", parameters, 2.0 * tone.log_evidence)
+
+
+def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unknown | None:
     if tone is None or not tone.of_wave:
         return None
-    form = f"x times a gain that goes to and fro at {tone.frequency_hz:.3g} Hz"
-    return Unknown("drive or pick-off", "in phase", form, "time", tone.name, 2.0 * tone.log_evidence)
+    what, phase = ("gain", "in phase") if swing is None else ("phase", "in quadrature")
+    form = f"x times a {what} that goes to and fro at {tone.frequency_hz:.3g} Hz"
+    return Unknown("drive or pick-off", phase, form, "time", tone.name, 2.0 * tone.log_evidence)
 
 
 def _noisy_clock(growth: NoiseGrowth | None) -> Unknown | None:

@@ -1,0 +1,106 @@
+"""A resonance that wanders within a recording: it carries the motion along, and not what feeds through."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from unittest import mock
+
+import numpy as np
+import pytest
+from table_samples import looked_at
+
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_whole_angle_plan, run_plan
+from gyro_calib.gap import model as model_module
+from gyro_calib.gap.evidence import CampaignEvidence
+from gyro_calib.gap.linear_device import linear_columns
+from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.preflight import usable
+from gyro_calib.gap.wander import wander_within
+from gyro_calib.recording.columns import column_index
+from gyro_calib.recording.recording import Campaign, Recording
+from gyro_calib.simulation import GyroSimulator
+
+#: wander of a half cosine [rad/s], twenty millikelvins of silica
+SIZE_RAD_S = 0.08
+
+
+def wandering(r: Recording, sign: float) -> Recording:
+    """The recording of a device whose resonance did that: a reference that follows it is at another frequency, and all else as it was."""
+    data = r.data.copy()
+    place = math.pi * (np.arange(len(data)) + 0.5) / len(data)
+    data[:, column_index("ref_freq")] += sign * SIZE_RAD_S * np.cos(2.0 * place) / (2.0 * math.pi)
+    return replace(r, data=data)
+
+
+@cache
+def campaign() -> tuple[Campaign, dict[str, float]]:
+    """A multiplexed hemisphere: what feeds through is a control period of the drive."""
+    device, rng = draw_unit(load_device("hrg_hardware"), 5), np.random.default_rng(3)
+    instrument = SimulatedInstrument(GyroSimulator(device, rng=rng, fidelity="carrier"), 2e-5)
+    recorded = run_plan(instrument, gap_whole_angle_plan(device.factory(), quality="quick"))
+    turning = [r for r in recorded if r.command.setpoints.virtual_precession_v and not r.label.startswith("thermal")]
+    signs = {r.label: float(rng.choice([-1.0, 1.0])) for r in turning}
+    assert len(signs) > 6
+    changed = tuple(wandering(r, signs[r.label]) if r.label in signs else r for r in recorded)
+    return replace(recorded, recordings=changed), signs
+
+
+@cache
+def known() -> tuple[CampaignEvidence, Linear]:
+    """The recordings and the linear device of rough noise."""
+    recorded, _ = campaign()
+    f = recorded.factory
+    evidence = CampaignEvidence.of(usable(recorded), math.pi * f["nominal_f0_hz"] / f["nominal_q"])
+    wander = 5e-8 * evidence.omega0_rad_s
+    linear, _ = model_module._linear(evidence, model_module._first(evidence, wander), f["angular_gain_kappa"], 0.0)
+    return evidence, linear
+
+
+def test_the_course_is_told_by_the_recording_itself() -> None:
+    (evidence, linear), (_, signs) = known(), campaign()
+    found = wander_within(evidence, linear)
+    for r in evidence:
+        if r.recording.label in signs:
+            place = math.pi * (np.arange(len(found[r.index])) + 0.5) / len(found[r.index])
+            basis = np.cos(np.outer(place, np.arange(3)))
+            size = float(np.linalg.lstsq(basis, found[r.index], rcond=None)[0][2])
+            assert size == pytest.approx(signs[r.recording.label] * SIZE_RAD_S, rel=0.1)
+        elif r.is_warming or r.recording.command.excitation.kind != "none":
+            assert not found[r.index].any()
+
+
+def test_the_column_of_what_feeds_through_stays_where_the_drive_is() -> None:
+    evidence, linear = known()
+    following = replace(linear, followed=model_module.followed_of(evidence, *fit(evidence, linear)))
+    assert following.followed is not None
+    wander = wander_within(evidence, linear)
+    moved = replace(following, followed=following.followed.with_wander(wander))
+    before, after = ({c.name: c for c in linear_columns(evidence, d)}["E_yy_re"] for d in (following, moved))
+    for r in evidence:
+        expected = np.zeros((len(wander[r.index]), 2), complex)
+        expected[:, 1] = -1j * wander[r.index] * r.signals.drive[:, 1]
+        projected = r.turn * r.signal_forms.plain([expected])[:, 0]
+        np.testing.assert_allclose(after.signal[r.index] - before.signal[r.index], projected, rtol=1e-9, atol=1e-15)
+
+
+def fit(evidence: CampaignEvidence, linear: Linear) -> tuple[object, ...]:
+    columns = model_module._nuisances(evidence, linear, 1e-3, 1e-3)
+    whitener = model_module.Whitener.of(evidence, model_module.first_noise(evidence))
+    design = whitener.design(columns, len(evidence))
+    target = whitener.rows(model_module.target_of(evidence, linear.angular_gain))
+    return model_module.solve(columns, design, target), whitener, design
+
+
+@pytest.mark.slow
+def test_waves_that_precess_are_as_quiet_as_without_it() -> None:
+    """Left out, the lowest lines across the precessing waves are far above their noise."""
+    recorded, _ = campaign()
+    models = [looked_at(recorded)]
+    with mock.patch.object(model_module, "wander_within", lambda e, d: tuple(np.zeros(len(r.signals.time_s)) for r in e)):
+        models.append(looked_at(recorded))
+    with_it, without = (m.screener.chi2 / m.screener.dof for m in models)
+    assert with_it < 1.15
+    assert without > 1.4 * with_it
