@@ -29,12 +29,13 @@ from severity import Ruler
 
 FAMILIES = {
     "amplitude": (
-        "duffing duffing_axes cubic_cross_stiffness nonlinear_damping nonlinear_damping_axes quadratic_damping coulomb_friction "
+        "duffing duffing_axes cubic_cross_stiffness cubic_cross_stiffness_axes drive_gap nonlinear_damping nonlinear_damping_axes quadratic_damping coulomb_friction "
         "drive_nonlinearity drive_amplitude_phase drive_dead_zone pickoff_nonlinearity pickoff_amplitude_phase pickoff_saturation "
         "drive_saturation"
     ),
     "temperature": (
-        "thermal_damping_anisotropy thermal_split thermal_frequency_curvature thermal_drive_gain thermal_drive_phase thermal_pickoff_phase"
+        "thermal_damping_anisotropy thermal_split thermal_frequency_curvature thermal_drive_gain thermal_drive_phase thermal_pickoff_phase "
+        "thermal_drive_gain_curvature thermal_pickoff_gain_curvature"
     ),
     "time": (
         "frequency_ageing split_drift damping_drift charge_accumulation drive_gain_drift drive_phase_drift pickoff_gain_drift "
