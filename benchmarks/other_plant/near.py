@@ -29,7 +29,8 @@ from severity import Ruler
 
 FAMILIES = {
     "amplitude": (
-        "duffing duffing_axes cubic_cross_stiffness cubic_cross_stiffness_axes drive_gap nonlinear_damping nonlinear_damping_axes quadratic_damping coulomb_friction "
+        "duffing duffing_axes cubic_cross_stiffness cubic_cross_stiffness_axes drive_gap nonlinear_damping nonlinear_damping_axes "
+        "quadratic_damping coulomb_friction "
         "drive_nonlinearity drive_amplitude_phase drive_dead_zone pickoff_nonlinearity pickoff_amplitude_phase pickoff_saturation "
         "drive_saturation"
     ),

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .linear_device import TEMPERATURE_SPAN_K
-from .parts import Linear
+from .parts import Linear, motion
+from .signals import Signals
 from .spectra import is_plain
 
-__all__ = ["FlowLeft", "flows_left"]
+__all__ = ["FlowLeft", "flows_left", "rows_left"]
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 #: turns of psi in a recording below which its wave stands still
 _STILL_TURNS = 0.01
 
@@ -73,6 +75,19 @@ def flows_left(evidence: CampaignEvidence, linear: Linear) -> list[FlowLeft]:
     return [_flow_left(r, evidence.omega0_rad_s, linear) for r in _plain(evidence)]
 
 
+def rows_left(s: Signals, omega0_rad_s: float, linear: Linear) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+    """Azimuth of the wave [rad], and what the linear device leaves along it and across it over its amplitude [1/s], shape (n,) each."""
+    m = motion(s, linear)
+    away = (s.omega_rad_s - omega0_rad_s)[:, None]
+    left = np.gradient(m, s.row_s, axis=0) + 1j * away * m - linear.acting(s, m) - s.drive @ linear.G.T
+    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(m**2, axis=1))))
+    turned, left = m * phase[:, None], left * phase[:, None]
+    azimuth = np.unwrap(np.arctan2(turned[:, 1].real, turned[:, 0].real))
+    cos, sin = np.cos(azimuth), np.sin(azimuth)
+    size = np.hypot(turned[:, 0].real, turned[:, 1].real)
+    return azimuth, (cos * left[:, 0] + sin * left[:, 1]) / size, (cos * left[:, 1] - sin * left[:, 0]) / size
+
+
 def _plain(evidence: CampaignEvidence) -> Iterable[RecordingEvidence]:
     """At the temperature at which the linear device was found: at another, gains are others, and a turning wave shows it."""
     near = (r for r in evidence if abs(float(r.signals.temperature_k.mean())) < TEMPERATURE_SPAN_K)
@@ -81,16 +96,7 @@ def _plain(evidence: CampaignEvidence) -> Iterable[RecordingEvidence]:
 
 def _flow_left(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> FlowLeft:
     s, command = r.signals, r.recording.command
-    motion = s.pick - s.drive @ linear.E.T
-    away = (s.omega_rad_s - omega0_rad_s)[:, None]
-    left = np.gradient(motion, s.row_s, axis=0) + 1j * away * motion - linear.acting(s, motion) - s.drive @ linear.G.T
-    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(motion**2, axis=1))))
-    turned, left = motion * phase[:, None], left * phase[:, None]
-    azimuth = np.unwrap(np.arctan2(turned[:, 1].real, turned[:, 0].real))
-    cos, sin = np.cos(azimuth), np.sin(azimuth)
-    size = np.hypot(turned[:, 0].real, turned[:, 1].real)
-    along = (cos * left[:, 0] + sin * left[:, 1]) / size
-    across = (cos * left[:, 1] - sin * left[:, 0]) / size
+    azimuth, along, across = rows_left(s, omega0_rad_s, linear)
     return FlowLeft(
         r.recording.label,
         (command.mode, round(command.setpoints.amplitude_v, 6), command.setpoints.virtual_precession_v != 0.0),

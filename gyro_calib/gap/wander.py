@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_turned
 from .evidence import CampaignEvidence, RecordingEvidence
+from .flow_left import rows_left
 from .nuisance import SWITCHED
-from .parts import Linear, motion
+from .parts import Linear
 
 __all__ = ["wander_within"]
 
@@ -44,14 +45,7 @@ def _is_told(r: RecordingEvidence) -> bool:
 
 
 def _wander(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> FloatArray:
-    s = r.signals
-    m = motion(s, linear)
-    away = (s.omega_rad_s - omega0_rad_s)[:, None]
-    left = np.gradient(m, s.row_s, axis=0) + 1j * away * m - linear.acting(s, m) - s.drive @ linear.G.T
-    # along a wave of any phase: m^T l / m^T m
-    along = np.sum(m * left, axis=1) / np.sum(m * m, axis=1)
-    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(m**2, axis=1))))
-    azimuth = np.unwrap(np.arctan2((m[:, 1] * phase).real, (m[:, 0] * phase).real))
+    azimuth, along, _ = rows_left(r.signals, omega0_rad_s, linear)
     turned_rad = abs(float(azimuth[-1] - azimuth[0]))
     below = int(_BELOW_TURN * 4.0 * turned_rad / (2.0 * math.pi))
     count = _COSINES if turned_rad < _AT_REST else min(_COSINES, max(below, _FEWEST))
