@@ -22,6 +22,8 @@ __all__ = ["DRIVE_FLICKERS", "PICKOFF_FLICKERS", "drive_flicker", "flickers", "p
 PICKOFF_FLICKERS, DRIVE_FLICKERS = 1.2e-5, 1.4e-4
 #: of a drive's, over the density across the wave, in power: practice devices have 1 to 3; over a pick-off's, which moves the wave too
 _BEYOND, _BEYOND_PICKOFF = 30.0, 4.0
+#: recordings of an axis that tell its noise from what a fit of a few explains, and damping over the nominal one of which that is so
+_FEWEST, _LEAST_DAMPING = 4, 0.3
 
 
 def pickoff_flicker(noise: NoiseByRole) -> tuple[float, float]:
@@ -37,12 +39,13 @@ def drive_flicker(evidence: CampaignEvidence, linear: Linear, noise: NoiseByRole
         role = f"ftr_{name}"
         laws = [noise.get((role, channel)) for channel in ("amplitude", "precession")]
         squares = [r.mean_square for r in evidence if r.role == role]
-        if not squares or laws[0] is None or laws[1] is None:
+        if len(squares) < _FEWEST or laws[0] is None or laws[1] is None:
             found.append(0.0)
             continue
         along, across = (law.coefficients[0] + law.coefficients[1] for law in laws if law is not None)
         # a projection's variance is a two-sided density
-        size = math.sqrt(2.0 * max(along - across, 0.0) / float(np.median(squares))) / abs(linear.A[axis, axis].real)
+        damping = max(abs(linear.A[axis, axis].real), _LEAST_DAMPING * evidence.decay_rate)
+        size = math.sqrt(2.0 * max(along - across, 0.0) / float(np.median(squares))) / damping
         counts = along > _BEYOND * across and size > max(DRIVE_FLICKERS, _BEYOND_PICKOFF * max(read))
         found.append(float(size) if counts else 0.0)
     return found[0], found[1]
