@@ -176,6 +176,9 @@ def test_gains_that_flicker_stand_for_the_noise_that_grows_with_the_wave() -> No
     healthy = with_gain_flicker(beside, EVIDENCE, LINEAR, laws())
     assert [e.name for e in healthy.effects] == ["amplitude_noise"]
     assert {s.status for s in healthy.standings if s.name.endswith("gain_flicker")} == {"excluded"}
+    few: Any = Evidence(EVIDENCE[::4])
+    status = {s.name: s.status for s in with_gain_flicker(beside, few, LINEAR, laws()).standings}
+    assert (status["pickoff_gain_flicker"], status["drive_gain_flicker"]) == ("excluded", "not testable")
     found = with_gain_flicker(beside, EVIDENCE, LINEAR, laws((6e-5, 0.0)))
     assert [e.name for e in found.effects] == ["pickoff_gain_flicker"]
     assert found.effects[0].parameters["g_x"].value == pytest.approx(6e-5)

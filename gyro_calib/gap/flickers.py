@@ -15,7 +15,7 @@ from .evidence import CampaignEvidence
 from .parts import Linear
 from .system import NoiseByRole
 
-__all__ = ["DRIVE_FLICKERS", "PICKOFF_FLICKERS", "drive_flicker", "flickers", "pickoff_flicker"]
+__all__ = ["DRIVE_FLICKERS", "PICKOFF_FLICKERS", "drive_flicker", "flickers", "pickoff_flicker", "tells_drives"]
 
 #: density of a gain at 1 Hz from which on it flickers more than a healthy one [1/sqrt(Hz)]: pick-offs of eight plants came to 3.7e-6,
 #: drives of the practice devices to 3e-5
@@ -49,6 +49,11 @@ def drive_flicker(evidence: CampaignEvidence, linear: Linear, noise: NoiseByRole
         counts = along > _BEYOND * across and size > max(DRIVE_FLICKERS, _BEYOND_PICKOFF * max(read))
         found.append(float(size) if counts else 0.0)
     return found[0], found[1]
+
+
+def tells_drives(evidence: CampaignEvidence) -> bool:
+    """Whether there are recordings enough of an axis to say how its drive's gain flickers."""
+    return any(sum(r.role == f"ftr_{axis}" for r in evidence) >= _FEWEST for axis in "xy")
 
 
 def flickers(evidence: CampaignEvidence, linear: Linear, noise: NoiseByRole) -> float:

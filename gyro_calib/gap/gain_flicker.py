@@ -9,7 +9,7 @@ from ..effects import EFFECTS
 from ..quantity import Quantity
 from .diagnosis import FoundEffect, Standing
 from .evidence import CampaignEvidence
-from .flickers import DRIVE_FLICKERS, PICKOFF_FLICKERS, drive_flicker, pickoff_flicker
+from .flickers import DRIVE_FLICKERS, PICKOFF_FLICKERS, drive_flicker, pickoff_flicker, tells_drives
 from .parts import Linear
 from .spectral_effects import SpectralEffects, found_beside
 from .system import NoiseByRole
@@ -45,7 +45,8 @@ def with_gain_flicker(
     for name, (of_axes, least) in sizes.items():
         if name in set(left_out):
             continue
-        beside = replace(beside, standings=(*beside.standings, _standing(name, of_axes, least)))
+        told = name == _PICKOFF or tells_drives(evidence)
+        beside = replace(beside, standings=(*beside.standings, _standing(name, of_axes, least if told else None)))
         if any(of_axes):
             kept = tuple(e for e in beside.effects if e.name != "amplitude_noise")
             standings = tuple(replace(s, status="excluded") if s.name == "amplitude_noise" else s for s in beside.standings)
@@ -60,7 +61,9 @@ def _found(name: str, sizes: tuple[float, float], least: float) -> FoundEffect:
     return found_beside(name, parameters, _GAIN, harmless=False)
 
 
-def _standing(name: str, sizes: tuple[float, float], least: float) -> Standing:
+def _standing(name: str, sizes: tuple[float, float], least: float | None) -> Standing:
+    """``least``: what would have been seen, None where nothing would."""
     effect = EFFECTS[name]
-    limit = None if any(sizes) else Quantity(least, least, effect.parameters[0].unit)
-    return Standing(name, effect.title, effect.location, "present" if any(sizes) else "excluded", limit, 0.0, 0.0, 0.0)
+    status = "present" if any(sizes) else "not testable" if least is None else "excluded"
+    limit = Quantity(least, least, effect.parameters[0].unit) if status == "excluded" and least is not None else None
+    return Standing(name, effect.title, effect.location, status, limit, 0.0, 0.0, 0.0)
