@@ -116,7 +116,7 @@ def carrier_rows(  # type: ignore[no-untyped-def]
     body : float
         Force per mass and volt of the body excitation [m/s^2/V].
     nonlinear : ndarray, shape (8,)
-        See :class:`gyro_calib.device.Nonlinearity`.
+        As :func:`gyro_calib.device.averaging.instant_force` takes them [1/(m^2 s^2)], the sixth [1/(m^2 s)].
     converters : ndarray, shape (8,)
         ADC full scale, ADC step, DAC full scale, DAC step [V], pick-off cubic of x [1/V^2], one over the gap of x and y in pick-off volts
         [1/V], pick-off cubic of y [1/V^2]. The step of the DAC is the effect kernels'.

@@ -84,7 +84,7 @@ def slow_flow_rows(  # type: ignore[no-untyped-def]
     pick, unpick : ndarray, shape (2, 2), complex
         P [V/m] and its inverse, for the nonlinear forces.
     nonlinear : ndarray, shape (8,)
-        ``Nonlinearity.coefficients``.
+        As :func:`gyro_calib.device.averaging.instant_force` takes them [1/(m^2 s^2)], the sixth [1/(m^2 s)].
     feed : ndarray, shape (8,)
         E: re, im of xx, xy, yx, yy.
     const : ndarray, shape (9,)
