@@ -16,7 +16,7 @@ from gyro_calib.gap.screen import Screened
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
 
-__all__ = ["looked_at", "loudest", "on_a_table"]
+__all__ = ["looked_at", "loudest", "on_a_table", "table_model"]
 
 
 @cache
@@ -32,6 +32,12 @@ def looked_at(campaign: Campaign) -> CampaignModel:
     """Its model."""
     f = campaign.factory
     return look_at(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
+
+
+@cache
+def table_model() -> CampaignModel:
+    """Of the healthy ring's; looked at once in a file."""
+    return looked_at(on_a_table())
 
 
 def loudest(model: CampaignModel, name: str) -> Screened:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from table_samples import looked_at, loudest, on_a_table
 
@@ -32,6 +33,7 @@ def drive_logged_too_large(recording: Recording) -> Recording:
     return replace(recording, data=rows)
 
 
+@pytest.mark.slow
 def test_an_effect_of_all_recordings_counts_without_the_turned_ones() -> None:
     model = looked_at(on_a_table("nonlinear_damping", c=3e-4))
     whole = loudest(model, "nonlinear_damping")

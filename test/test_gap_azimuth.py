@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from table_samples import looked_at as look_at_campaign
+from table_samples import table_model
 
 from gyro_calib.gap.diagnose import diagnose
 from gyro_calib.gap.lines import lines_of
@@ -74,7 +74,8 @@ def test_a_turning_wave_has_lines_of_six_and_eight_turns_and_they_are_not_quiet(
         assert min(abs(f - k * turn_hz) for f in lines.quiet) > step
 
 
-@pytest.mark.parametrize("lobes", [8, pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("lobes", [8, 16])
 def test_a_gain_of_many_lobes_is_found_by_its_form(lobes: int) -> None:
     """It was believed to be noise: as loud in its lines as everything else that the saturated model lacks."""
     campaign = hemisphere()
@@ -86,7 +87,6 @@ def test_a_gain_of_many_lobes_is_found_by_its_form(lobes: int) -> None:
 
 
 def test_of_a_wave_that_never_turns_nothing_goes_with_the_azimuth() -> None:
-    unit, rng = draw_trial_unit("ring", 79, 1), np.random.default_rng(1)
-    model = look_at_campaign(record_unit(unit, campaign_plan("ring", unit.device.factory(), rng, "quick"), {}, rng))
+    model = table_model()
     assert model.bank
     assert not any(term.depends_on == "azimuth" for term, _ in model.bank)

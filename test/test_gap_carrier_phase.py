@@ -64,6 +64,7 @@ def test_every_step_has_a_phase_of_its_own() -> None:
     assert math.sqrt(sum(v**2 for v in found.values()) / 8) == pytest.approx(0.55, rel=0.3)
 
 
+@pytest.mark.slow
 def test_what_a_step_leaves_is_neither_noise_nor_an_effect() -> None:
     model = hemisphere()
     along, across = (model.noise["turned", channel].coefficients for channel in ("amplitude", "precession"))

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from table_samples import looked_at, on_a_table
+from table_samples import on_a_table, table_model
 
 from gyro_calib.gap.coarse_drive import _form, rounded, with_coarse_drive
 from gyro_calib.gap.columns import form_columns
@@ -33,7 +33,7 @@ def test_what_rounding_adds_to_a_carrier_is_the_series(noise: float) -> None:
 
 @cache
 def model() -> CampaignModel:
-    return looked_at(on_a_table())
+    return table_model()
 
 
 def sampled(lsb_v: float) -> list[Recording]:

@@ -43,6 +43,7 @@ def test_a_resonance_that_ages_leaves_no_phase_that_drifts() -> None:
     assert drift.gain < 25.0
 
 
+@pytest.mark.slow
 def test_a_force_that_moves_the_resonance_is_one_on_the_volts() -> None:
     """What feeds through its column of E has taken off, at the place where the resonance was found."""
     m = model()

@@ -11,8 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from table_samples import looked_at
 
+from gyro_calib.gap.evidence import CampaignEvidence
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.noise_law import NoiseLaw, beside_floors, fit_law, gain_floors
+from gyro_calib.gap.preflight import usable
 from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.trial.plans import campaign_plan
@@ -42,10 +44,14 @@ def read_by(r: Recording, gain: NDArray[np.float64]) -> Recording:
 
 
 @cache
-def hemisphere(floor: float) -> CampaignModel:
+def quick_hemisphere() -> Campaign:
     unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
-    campaign = record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng)
-    return looked_at(with_floor(campaign, floor))
+    return record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng)
+
+
+@cache
+def hemisphere(floor: float) -> CampaignModel:
+    return looked_at(with_floor(quick_hemisphere(), floor))
 
 
 def with_floor(campaign: Campaign, floor: float) -> Campaign:
@@ -57,7 +63,10 @@ def with_floor(campaign: Campaign, floor: float) -> Campaign:
 def test_a_floor_of_a_gain_is_what_its_noise_brings_to_the_equations_of_a_wave_that_turns() -> None:
     """Drawn row by row, through L: amplitude and precession hear it as far as the wave is on y."""
     rng, found = np.random.default_rng(4), []
-    turning = [r for r in hemisphere(0.0).evidence if r.is_wave and r.signal.turn_rad > math.pi][:1]
+    campaign = quick_hemisphere()
+    f = campaign.factory
+    evidence = CampaignEvidence.of(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"])
+    turning = [r for r in evidence if r.is_wave and r.signal.turn_rad > math.pi][:1]
     assert turning
     for r in turning:
         s = r.signals
@@ -77,6 +86,7 @@ def test_a_floor_of_a_gain_is_what_its_noise_brings_to_the_equations_of_a_wave_t
     assert np.mean(found) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_campaign_tells_the_floor_of_each_gain() -> None:
     quiet, loud = ({law.gains for (_, channel), law in hemisphere(floor).noise.items() if channel == "amplitude"} for floor in (0.0, FLOOR))
     assert max(math.sqrt(g) for gains in quiet for g in gains) < 0.1 * FLOOR
@@ -84,6 +94,7 @@ def test_a_campaign_tells_the_floor_of_each_gain() -> None:
     assert float(np.median([math.sqrt(y) for _, y in loud])) == pytest.approx(FLOOR, rel=0.2)
 
 
+@pytest.mark.slow
 def test_beside_a_floor_a_wave_on_the_other_axis_is_as_quiet_as_it_was() -> None:
     """The floor of y was white noise of every record of its kind, on whichever axis."""
     told = {}

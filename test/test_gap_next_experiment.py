@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from table_samples import looked_at, on_a_table
+from table_samples import table_model
 
 from gyro_calib.gap.diagnosis import Unknown
 from gyro_calib.gap.monomials import FED, MONOMIALS
@@ -28,6 +28,6 @@ def test_the_experiment_varies_what_the_term_depends_on() -> None:
 
 
 def test_a_gyro_whose_wave_never_turns_is_asked_for_no_precession() -> None:
-    model = looked_at(on_a_table())
+    model = table_model()
     assert "precession" not in _recipe(model, "large drive")
     assert "azimuth" in _varied(model), "nothing to ask for"

@@ -67,6 +67,7 @@ def by_time(model: CampaignModel, name: str) -> dict[float, NDArray[np.float64]]
     return {tau: model.screener.projected(c.columns)[0][:, 0] for tau, c in times.items() if 0.1 < tau < 1.0 or tau == 0.0}
 
 
+@pytest.mark.slow
 def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
     """A memory of the pick-offs against the same of the drives: what is left of both is far below either, where no table turns the wave."""
     model = healthy("hemisphere")

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from table_samples import looked_at, on_a_table
+from table_samples import looked_at, on_a_table, table_model
 
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.model import CampaignModel
@@ -29,7 +29,7 @@ def alone(axis: str) -> CampaignModel:
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_the_axis_at_rest_keeps_its_noise(axis: str) -> None:
     """It fell to a ten-thousandth where damping and gain of that axis were free to be the loop's."""
-    model, whole = alone(axis), looked_at(on_a_table())
+    model, whole = alone(axis), table_model()
     assert axis_alone(model.evidence) == "xy".index(axis)
     assert axis_alone(whole.evidence) is None
     role = f"ftr_{axis}"
@@ -41,7 +41,7 @@ def test_the_axis_at_rest_keeps_its_noise(axis: str) -> None:
 
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_the_other_axis_is_of_the_same_design(axis: str) -> None:
-    linear, truth, other = alone(axis).linear, looked_at(on_a_table()).linear, 1 - "xy".index(axis)
+    linear, truth, other = alone(axis).linear, table_model().linear, 1 - "xy".index(axis)
     assert abs(linear.G[other, other] / truth.G[other, other] - 1.0) < 0.2
     assert abs(linear.A[other, other].real / truth.A[other, other].real - 1.0) < 2.0
 
@@ -60,7 +60,7 @@ def test_what_grows_from_the_noise_of_an_axis_at_rest_is_not_tried() -> None:
     faint = Column("g_y", tuple(1e-3 * v for v in c.columns[0].signal), tuple(1e-3 * v for v in c.columns[0].quiet))
     apart = replace(faint, name="tau")
     assert [column.name for column in heard(model.evidence, [c.columns[0], faint, apart])] == ["g_x", "tau"]
-    both = looked_at(on_a_table())
+    both = table_model()
     assert [column.name for column in both.candidates["pickoff_gain_drift"][0].columns] == ["g_x", "g_y"]
 
 

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from table_samples import looked_at, loudest, on_a_table
+from table_samples import looked_at, loudest, on_a_table, table_model
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.gap import rate_table
@@ -141,7 +141,7 @@ def test_a_pickoff_that_is_sampled_in_its_turn_is_named_and_patched() -> None:
 
 def test_a_wave_that_grows_as_the_rule_of_a_plant_has_it_is_healthy() -> None:
     """The forward rule on a Coriolis force lets it grow by ``Omega^2`` times a step."""
-    healthy = looked_at(on_a_table())
+    healthy = table_model()
     (kicked,) = (c for c in healthy.nuisances if c.name == "rate_kicked")
     assert kicked.prior_sd == pytest.approx(2e-5)
     growing = with_columns(healthy, [(kicked, 1.5 * kicked.prior_sd)])

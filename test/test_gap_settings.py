@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from table_samples import looked_at, on_a_table
+from table_samples import table_model
 
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.forms import FORMS
@@ -97,7 +97,7 @@ def test_what_has_no_second_setting_stays_as_it_is() -> None:
 
 def test_settings_of_two_kinds_are_refined_and_told_each_by_its_own() -> None:
     """A dead zone by its level, or by the noise beside it: there was a zone of another plant that no diagnosis came out of."""
-    model = looked_at(on_a_table())
+    model = table_model()
     kinds = {tuple(c.setting): c for c in model.candidates["drive_dead_zone"]}
     assert kinds.keys() == {("level",), ("noise",)}
     by_level = next(c for c in model.grid("drive_dead_zone", "level") if c.setting["level"] > 3e-3)

@@ -190,6 +190,7 @@ def test_a_floor_of_the_quadrature_is_no_charge_that_leaks() -> None:
     assert max(abs(model.base.by_name()[c.name]) / c.prior_sd for c in slow) > 1.0
 
 
+@pytest.mark.slow
 def test_what_goes_with_time_must_beat_larger_floors() -> None:
     """A healthy unit's floors are as large as they are; told to be a third of it, what they do would be an effect's."""
     model = floored()

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from added_effects import with_effects
-from table_samples import looked_at, on_a_table
+from table_samples import looked_at, table_model
 
 from gyro_calib.gap.anonymous import HEATED
 from gyro_calib.gap.column import Column
@@ -31,12 +31,12 @@ LOUD, SHORT = 450.0, 8.0
 
 
 def selected(columns: Sequence[Column], snrs: float | Sequence[float] = 25.0) -> Selection:
-    return select_effects(with_effects(looked_at(on_a_table()), columns, snrs))
+    return select_effects(with_effects(table_model(), columns, snrs))
 
 
 def knee(phase: str) -> Candidate:
     """Of the motion, a little above the amplitude in the middle."""
-    model = looked_at(on_a_table())
+    model = table_model()
     middle = float(np.median([np.median(np.linalg.norm(np.abs(r.signals.pick), axis=1)) for r in model.evidence]))
     knees = [c for term, c in model.bank if (term.location, term.phase) == ("dynamics", phase) and "beyond" in term.form]
     return min(knees, key=lambda c: abs(float(c.setting["level"]) - 1.1 * middle))
@@ -45,7 +45,7 @@ def knee(phase: str) -> Candidate:
 @pytest.mark.parametrize("phase", ["in phase", "in quadrature"])
 def test_a_force_that_begins_at_a_level_is_in_the_bank(phase: str) -> None:
     """A loss of a subharmonic, an end stop: nothing below the level, in proportion to what lies beyond it above."""
-    model, found = looked_at(on_a_table()), knee(phase)
+    model, found = table_model(), knee(phase)
     level = float(found.setting["level"])
     sizes = np.array([np.linalg.norm(v) for v in found.columns[0].signal])
     largest = np.array([np.max(np.linalg.norm(np.abs(r.signals.pick), axis=1)) for r in model.evidence])
@@ -78,6 +78,7 @@ def test_friction_of_each_axis_that_the_registry_lacks_is_no_loss_of_the_amplitu
     assert (selection.stranger.term.location, selection.stranger.term.form) == ("dynamics", "x_j/|x_j|")
 
 
+@pytest.mark.slow
 def test_friction_of_each_axis_is_found_by_an_axis_at_rest_whose_pickoffs_are_not_square() -> None:
     """All of an axis's friction acts while it is held, to the side that its pick-offs lean: without that its size is false or none."""
     unit, rng, sizes = draw_trial_unit("ring", 79, 1), np.random.default_rng(1), {"c_x": 1.5e-3, "c_y": 9e-4}
@@ -100,7 +101,7 @@ def test_friction_of_each_axis_is_found_by_an_axis_at_rest_whose_pickoffs_are_no
 @pytest.mark.slow
 def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force() -> None:
     """A split by the inverse of the amplitude: constants of drive and pick-off and another mode left but noise of it."""
-    model = looked_at(on_a_table())
+    model = table_model()
     term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", "x/|x|, as a split"))
     selection = selected([term.columns[0]], 60.0)
     assert selection.stranger is not None
@@ -110,7 +111,7 @@ def test_a_stiffness_that_holds_less_the_larger_the_motion_is_no_constant_force(
 @pytest.mark.parametrize("form", ["|x of 3 s|^2 x", pytest.param("|x of 15 s|^2 x", marks=pytest.mark.slow)])
 def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander(form: str) -> None:
     """It is in the shift of every record, whose size is measured: what goes as the energy of a quarter of a minute before is not that."""
-    model = looked_at(on_a_table())
+    model = table_model()
     term = next(c for t, c in model.bank if (t.phase, t.form) == ("in quadrature", form))
     selection = selected([term.columns[1]])
     assert selection.stranger is not None
@@ -121,12 +122,12 @@ def test_a_frequency_that_follows_the_heat_of_the_vibration_is_no_wander(form: s
     ("location", "form", "place"),
     [
         pytest.param("drive", "|u_j of 0.7 s|^2 x_j, u the drives", 2, marks=pytest.mark.slow),
-        ("dynamics", "Omega of 1 s before x, turned", 0),
+        pytest.param("dynamics", "Omega of 1 s before x, turned", 0, marks=pytest.mark.slow),
     ],
 )
 def test_what_warms_or_creeps_in_a_second_has_a_form(location: str, form: str, place: int) -> None:
     """The output stage of a drive by its own power, and a mount by the rate that its table was just given."""
-    model = looked_at(on_a_table())
+    model = table_model()
     term = next(c for t, c in model.bank if (t.location, t.phase, t.form) == (location, "in phase", form))
     selection = selected([term.columns[place]])
     assert selection.stranger is not None
@@ -135,7 +136,7 @@ def test_what_warms_or_creeps_in_a_second_has_a_form(location: str, form: str, p
 
 def test_what_lies_between_records_is_asked_beside_a_wander_of_any_size() -> None:
     """A clean ring's wander was half as large as it was, and what vibration warms 87 in chi-square beside it."""
-    model = looked_at(on_a_table())
+    model = table_model()
     heated = next(c for t, c in model.bank if (t.location, t.phase, t.form) == ("dynamics", HEATED[1], HEATED[0]))
     rng = np.random.default_rng(8)
     shifts = [c for c in model.nuisances if c.name.startswith("shift_") and c.prior_sd < np.inf]
@@ -150,7 +151,7 @@ def test_what_lies_between_records_is_asked_beside_a_wander_of_any_size() -> Non
 @pytest.mark.parametrize(("share", "counts"), [(0.003, False), (0.015, True)])
 def test_what_is_left_of_loud_names_is_first_order_or_something_else(share: float, counts: bool) -> None:
     """Right names left 0.0023 of what they took, three that imitated a soft knee of the pick-offs 0.015."""
-    model = looked_at(on_a_table())
+    model = table_model()
     loud = model.screener.screen(model.candidates["nonlinear_damping"][0])
     left = model.screener.screen(next(c for t, c in model.bank if t.form == "|x|^4 x"))
     assert loud is not None
@@ -158,8 +159,9 @@ def test_what_is_left_of_loud_names_is_first_order_or_something_else(share: floa
     assert unnamed_counts(replace(left, gain=share * LOUD**2), [replace(loud, gain=LOUD**2)]) is counts
 
 
+@pytest.mark.slow
 def test_two_effects_of_the_registry_are_no_stranger() -> None:
-    model = looked_at(on_a_table())
+    model = table_model()
     of_one, of_other = model.candidates["nonlinear_damping"][0], model.candidates["pickoff_amplitude_phase"][0]
     selection = selected([of_one.columns[0], of_other.columns[0]])
     assert selection.stranger is None
@@ -171,7 +173,7 @@ def test_two_effects_of_the_registry_are_no_stranger() -> None:
 @pytest.mark.slow
 def test_an_effect_whose_form_is_short_of_a_thousandth_keeps_its_name() -> None:
     """A table of one speed hardly tells |Omega| from Omega^2: an unnamed term of both axes holds an asymmetry and what its form lacks."""
-    model = looked_at(on_a_table())
+    model = table_model()
     asymmetry = model.candidates["rate_asymmetry"][0]
     term = next(c for t, c in model.bank if (t.location, t.phase, t.form) == ("dynamics", "in phase", "Omega^2 x, crossed"))
     own = model.screener.projected(asymmetry.columns)[0][:, 0]
@@ -186,7 +188,7 @@ def test_an_effect_whose_form_is_short_of_a_thousandth_keeps_its_name() -> None:
 
 def test_nearest_is_what_shows_the_same_not_what_explains_most() -> None:
     """Beside a Duffing far louder than it."""
-    model = looked_at(on_a_table())
+    model = table_model()
     (drift,), duffing = model.candidates["drive_gain_drift"], model.candidates["duffing"][0]
     loud = with_effects(model, [*duffing.columns[:1], *drift.columns[:1]], [200.0, 15.0])
     unnamed = next(c for a, c in loud.bank if (a.location, a.phase, a.form) == ("drive", "in phase", "t x, other on each axis"))
