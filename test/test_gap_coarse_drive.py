@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from table_samples import on_a_table, table_model
 
-from gyro_calib.gap.coarse_drive import _form, rounded, with_coarse_drive
+from gyro_calib.gap.coarse_drive import NAME, _form, rounded, with_coarse_drive
 from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.spectral_effects import SpectralEffects, found_beside, spectral_effects
+from gyro_calib.gap.unseen_steps import with_unseen_steps
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.recording import Recording
 from gyro_calib.trial.injected import with_columns
@@ -91,3 +93,25 @@ def test_a_tone_within_half_a_step_of_the_drives_is_what_rounding_makes() -> Non
         (said,) = (s.status for s in found.standings if s.name == "external_tone")
         assert said == ("present" if stays else "excluded")
         assert found.near == ((3,) if stays else ())
+
+
+def test_steps_that_no_sample_shows_are_found_by_their_size_alone() -> None:
+    """Where something without a name is there; what is better said by it, and a device without steps, have none."""
+    volts = max(float(np.abs(r.signals.drive).max()) for r in model().evidence if r.is_wave)
+    lsb, noise = volts / 13.2, 0.3
+    (column,) = form_columns(model().evidence, _form(lsb, noise), model().linear, {})
+    coarse = with_columns(model(), [(column, 1.0)])
+    selection = select_effects(coarse)
+    assert selection.stranger is not None
+    beside = spectral_effects(on_a_table(), coarse.linear, ())
+    found = with_unseen_steps(beside, coarse, selection, ())
+    assert [e.name for e in found.effects] == [NAME]
+    size = found.effects[0].parameters["lsb"]
+    assert abs(size.value - lsb) < 3.0 * size.sd
+    assert size.sd < 0.01 * lsb
+    assert status(found) == ["present"]
+    assert with_unseen_steps(beside, coarse, selection, (NAME,)) == beside
+    assert with_unseen_steps(beside, coarse, replace(selection, stranger=None), ()) == beside
+    loud = replace(selection, chi2_before=selection.chi2_before + 2.0 * found.effects[0].gain)
+    assert with_unseen_steps(beside, coarse, loud, ()) == beside
+    assert with_unseen_steps(beside, model(), selection, ()) == beside

@@ -6,7 +6,7 @@ registry does not is *something not in the catalogue*, and the term that closes 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
 from .signals import Signals
 
-__all__ = ["HEATED", "Anonymous", "anonymous_candidates"]
+__all__ = ["HEATED", "LOCATIONS", "Anonymous", "anonymous_candidates"]
 
 #: form and phase of what vibration warms: its frequency, all of which lies between records
 HEATED = ("|x of 15 s|^2 x", "in quadrature")
@@ -86,12 +86,16 @@ _NOT_READ = ("rate", "phase reference", "drive", "speed of change", "frequency")
 _PHASES, _ANY_PHASE = (("in phase", 1.0 + 0j), ("in quadrature", 1j)), (("of any phase", 1.0 + 0j),)
 #: but for what goes with squares: no clock of a table that turns both ways imitates that of its rate, no noise that of the drives
 _READ = ("Omega^2 x", "|u|^2 x, u the drives")
+#: what an unnamed size may be, sd; of what is read or driven the largest share of the largest signal that it may be, sd
+_USUAL, _LARGEST = 0.1, 0.1
+#: signals that are largest where terms are
+_TELLING = ("pick", "drive", "temperature_k", "rate_rad_s", "time_s")
 #: on what a term may depend that follows its signal at once
 _AT_ONCE = ("amplitude", "azimuth", "temperature", "time", "rate")
 
 
 def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
-    """Every anonymous term as a candidate; its prior is wide: a relative size of a tenth of the linear device."""
+    """Every anonymous term as a candidate; its prior is wide: of what is read or driven a tenth of the signal."""
     forms, found = [], []
     for (text, depends), monomials in FED.items():
         if text in _TURNING and not evidence.turns:
@@ -114,10 +118,27 @@ def anonymous_candidates(evidence: CampaignEvidence, linear: Linear) -> list[tup
                     monomials = [lambda s, x, f=APART[text]: f(s) * x * np.array([1.0, -1.0])]  # type: ignore[misc]
                 forms.append((Anonymous(location, phase, text, depends), _form(kind, monomials, factor, at_once=depends in _AT_ONCE)))
     made = forms_columns(evidence, [(form, {}) for _, form in forms], linear)
+    largest = _largest(evidence, linear, forms)
     for (term, _), columns in zip(forms, (heard(evidence, columns) for columns in made), strict=True):
         if any(np.any(v) for c in columns for v in c.signal):
-            found.append((term, Candidate(f"{term.location} {term.form}", {}, tuple(columns), np.full(len(columns), 0.1))))
+            prior_sd = np.array([largest.get((term, c.name), _USUAL) for c in columns])
+            found.append((term, Candidate(f"{term.location} {term.form}", {}, tuple(columns), prior_sd)))
     return found + _knees(evidence, linear)
+
+
+def _largest(evidence: CampaignEvidence, linear: Linear, forms: Sequence[tuple[Anonymous, Form]]) -> dict[tuple[Anonymous, str], float]:
+    """Of what is read or driven the coefficients at which terms are the largest share of their signal that they may be."""
+    signals = [r.signals for r in evidence]
+    told = {name: [float(np.abs(getattr(s, name)).max()) for s in signals] for name in _TELLING}
+    telling = [signals[k] for k in {int(np.argmax(sizes)) for sizes in told.values()}]
+    whole = {"output": max(told["pick"]), "drive": max(told["drive"])}
+    sizes: dict[tuple[Anonymous, str], float] = {}
+    for s in telling:
+        for term, form in forms:
+            for part in form.parts(s, linear, {}) if term.location != LOCATIONS["flow"] else ():
+                key, share = (term, part.parameter), float(np.abs(part.signal).max()) / whole[part.kind]
+                sizes[key] = max(sizes.get(key, 0.0), share)
+    return {key: _LARGEST / size for key, size in sizes.items() if size > 0.0}
 
 
 def _knees(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:

@@ -28,17 +28,17 @@ from .signals import Signals
 from .spectral_effects import SpectralEffects, found_beside
 from .strangers import MARGIN
 
-__all__ = ["rounded", "with_coarse_drive"]
+__all__ = ["NAME", "OTHERS", "SHARE", "rounded", "with_coarse_drive", "with_steps"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_NAME = "drive_quantisation"
+NAME = "drive_quantisation"
 #: noise beside a drive, in steps: none that is known, for samples that do not slide over the cycle dither as well
 _NOISE = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 #: share of what steps do that is theirs, at any of these
-_SHARE = (0.3, 2.0)
+SHARE = (0.3, 2.0)
 #: chi-square that such steps may have under any other name, over their own: between two rows the error goes on, which the form has not
-_OTHERS = 3.0
+OTHERS = 3.0
 #: terms of the series: those that noise of a twentieth of a step leaves
 _TERMS = 40
 
@@ -75,24 +75,26 @@ def with_coarse_drive(
         Effects that the registry does not hold.
     """
     steps = converter_steps(recordings, ("x_drive", "y_drive"))
-    if steps is None or _NAME in left_out:
+    if steps is None or NAME in left_out:
         return beside
     found = _asked(model, steps)
-    status = "excluded" if found is None else "present"
-    statuses = {_NAME: status}
     if found is None:
-        return replace(beside, standings=_with(beside.standings, statuses))
-    lsb = Quantity(steps.lsb_v, steps.lsb_sd_v, EFFECTS[_NAME].parameter("lsb").unit)
+        return replace(beside, standings=_with(beside.standings, {NAME: "excluded"}))
+    return with_steps(beside, model.linear, (steps.lsb_v, steps.lsb_sd_v), found.gain)
+
+
+def with_steps(beside: SpectralEffects, linear: Linear, lsb_v: tuple[float, float], gain: float) -> SpectralEffects:
+    """The findings with steps of the drives of that size and sd [V], without the lines that those make."""
     # what a rounded drive holds beside its fundamental shakes the resonator as a tone does
-    kept = tuple(e for e in beside.effects if e.name != "external_tone" or _drives_more(e, steps))
+    kept = tuple(e for e in beside.effects if "external_tone" not in e.group or _driven_v(e, linear) > 0.5 * lsb_v[0])
     gone = [e for e in beside.effects if e not in kept]
-    statuses |= {name: "excluded" for e in gone for name in e.group}
-    effect = found_beside(_NAME, {"lsb": lsb}, found.gain, harmless=False)
+    statuses = {name: "excluded" for e in gone for name in e.group} | {NAME: "present"}
+    size = Quantity(*lsb_v, EFFECTS[NAME].parameter("lsb").unit)
     return replace(
         beside,
-        effects=(*kept, effect),
+        effects=(*kept, found_beside(NAME, {"lsb": size}, gain, harmless=False)),
         standings=_with(beside.standings, statuses),
-        products=max(beside.products, _OTHERS * found.gain),
+        products=max(beside.products, OTHERS * gain),
         near=() if gone else beside.near,
     )
 
@@ -101,20 +103,22 @@ def _with(standings: Sequence[Standing], statuses: Mapping[str, str]) -> tuple[S
     return tuple(replace(s, status=statuses.get(s.name, s.status)) for s in standings)
 
 
-def _drives_more(tone: FoundEffect, steps: ConverterSteps) -> bool:
-    return max(abs(tone.parameters[name].value) for name in ("a_x", "a_y")) > 0.5 * steps.lsb_v
+def _driven_v(line: FoundEffect, linear: Linear) -> float:
+    """Amplitude of a tone on the drives [V], or of the drive that would make such a line of the pick-offs."""
+    sizes = {name: abs(q.value) for name, q in line.parameters.items()}
+    if line.name == "external_tone":
+        return max(sizes["a_x"], sizes["a_y"])
+    return 2.0 * math.pi * sizes["frequency_hz"] * max(sizes["v_x"], sizes["v_y"]) / float(np.abs(np.diag(linear.G)).min())
 
 
 def _asked(model: CampaignModel, steps: ConverterSteps) -> Screened | None:
     """What the steps do in the slow flow, where it counts and is as large as they make it."""
     tried = [
-        Candidate(
-            _NAME, {"noise": s}, tuple(form_columns(model.evidence, _form(steps.lsb_v, s), model.linear, {})), np.ones(1), len(_NOISE)
-        )
+        Candidate(NAME, {"noise": s}, tuple(form_columns(model.evidence, _form(steps.lsb_v, s), model.linear, {})), np.ones(1), len(_NOISE))
         for s in _NOISE
     ]
     shares = ((s, s.sizes()["share"][0]) for s in model.screener.screened(tried) if s.log_evidence > MARGIN)
-    return max((s for s, share in shares if _SHARE[0] < share < _SHARE[1]), key=lambda s: s.gain, default=None)
+    return max((s for s, share in shares if SHARE[0] < share < SHARE[1]), key=lambda s: s.gain, default=None)
 
 
 def _form(step_v: float, noise_steps: float) -> Form:

@@ -40,6 +40,7 @@ from .swings import find_swing
 from .system import Solution
 from .thermometer import said_sensor_late
 from .told import told_sizes
+from .unseen_steps import with_unseen_steps
 
 __all__ = ["diagnose"]
 
@@ -83,7 +84,9 @@ def diagnose(
     report(0.7, "selecting effects")
     beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out), model, recordings, left_out)
     beside = with_gain_flicker(beside, model.evidence, model.linear, model.noise, left_out)
-    selection = _without_products(model, select_effects(model), beside)
+    selection = select_effects(model)
+    beside = with_unseen_steps(beside, model, selection, left_out)
+    selection = _without_products(model, selection, beside)
     chosen = [e.candidate for e in selection.effects]
     rich = model.fitted(chosen) if chosen else model.base
     report(0.88, "unseen experiments")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .anonymous import HEATED, Anonymous
+from .anonymous import HEATED, LOCATIONS, Anonymous
 from .floors import beside_wander, louder_floors
 from .kin import nearest_known
 from .model import CampaignModel
@@ -47,6 +47,8 @@ _AS_MUCH = 0.9
 BANK_MARGIN, _BANK_GAIN = 3.0, 39.0
 #: share of an effect's gain that its form, of first order, may leave
 SECOND_ORDER = 0.005
+#: standard deviations beyond which a size is larger than another
+_SURELY = 3.0
 #: how much better an anonymous term must be than any one effect of the registry; several that it does better than are that term
 _BETTER = 12.0
 #: and what goes with time beyond those: a 1/f floor swings so, up to a log evidence of 13 in 24 healthy campaigns, 18 in another
@@ -195,10 +197,18 @@ def bank_terms(model: CampaignModel, screener: Screener, chosen: Sequence[Candid
     """Unnamed terms beside what a screener holds; those that go with time if they are no 1/f floor."""
     terms = {id(c): a for a, c in model.bank}
     screened = ((s, terms[id(s.candidate)]) for s in screener.screened(c for _, c in model.bank))
-    weighed = ((_beside_wander(model, chosen, s) if (a.form, a.phase) == HEATED else s, a) for s, a in screened)
+    weighed = ((_beside_wander(model, chosen, s) if (a.form, a.phase) == HEATED else s, a) for s, a in screened if _may_be(s, a))
     found = [(s, a) for s, a in weighed if s is not None]
     no_floors = {id(s) for s in _no_floors(model, chosen, [s for s, a in found if a.depends_on == "time"])}
     return [(s, a) for s, a in found if a.depends_on != "time" or id(s) in no_floors]
+
+
+def _may_be(found: Screened, term: Anonymous) -> bool:
+    """Whether what is read or driven is no larger a share of its signal than one is.
+
+    What bends with a cube on both axes at once is nothing along a wave and noise beside it: it took a third of the volts.
+    """
+    return term.location == LOCATIONS["flow"] or bool(np.all(np.abs(found.values) < found.candidate.prior_sd + _SURELY * found.sd))
 
 
 def _beside_wander(model: CampaignModel, chosen: Sequence[Candidate], found: Screened) -> Screened | None:
