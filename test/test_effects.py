@@ -219,6 +219,7 @@ def behind(r: Rows) -> ComplexArray:
 
 LATE: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping_lag": ({"c": 0.2}, lambda r: -r.size["c"] * behind(r) * r.p),
+    "thermal_damping_anisotropy_lag": ({"c_c": 0.2, "c_s": 0.3}, lambda r: -behind(r) * (r.p @ split(r, "c_c", "c_s"))),
     "thermal_split_lag": ({"k_c": 0.2, "k_s": 0.3}, lambda r: 1j * behind(r) * (r.p @ split(r, "k_c", "k_s"))),
     "thermal_drive_gain_lag": ({"g_x": 0.02, "g_y": 0.03}, lambda r: r.force(behind(r) * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_pickoff_gain_lag": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.reading(behind(r) * by_axis(r, "g_x", "g_y") * r.p)),

@@ -100,6 +100,13 @@ THERMAL = (
         ("thermal_damping", "damping_drift"),
     ),
     Effect(
+        "thermal_damping_anisotropy_lag", "Damping anisotropy of a device that is not warm throughout", "environment", (2, 30),
+        (*pair("c_c c_s", "1/s/K", 2e-4, 0.5, "decay rate per kelvin of the lag, by axis (c) and across (s)"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"p' += -{_BEHIND} (c_c diag(1, -1) + c_s [[0, 1], [1, 0]]) p",
+        ("thermal_damping_anisotropy", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag"),
+    ),
+    Effect(
         "thermal_split_lag", "Frequency split of a device that is not warm throughout", "environment", (30,),
         (*pair("k_c k_s", "rad/s/K", 0.003, 1.0, "half the split per kelvin of the lag, by axis (c) and across (s)"), _LAG),
         ("temperature", "time"), BOTH,

@@ -357,6 +357,7 @@ FORMS: dict[str, Form] = {
     "thermal_pickoff_gain_curvature": _read_by_axis("g", lambda s, v: _warm_squared(s)[:, None] * v),
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
     "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * _velocity(s, d))], _WARM_UP),
+    "thermal_damping_anisotropy_lag": Form(lambda s, d, g: _anisotropy("c", behind(s, g["tau"]) * _velocity(s, d), -1.0), _WARM_UP),
     "thermal_split_lag": Form(_gradient, _WARM_UP),
     "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", behind(s, g["tau"]) * s.drive), _WARM_UP),
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),

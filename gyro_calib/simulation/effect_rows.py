@@ -20,7 +20,8 @@ ComplexArray = NDArray[np.complex128]
 SLOW_EFFECTS = frozenset(
     (
         "thermal_damping", "thermal_damping_anisotropy", "thermal_frequency_curvature", "thermal_split", "thermal_lag",
-        "thermal_damping_lag", "thermal_split_lag", "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
+        "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
+        "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
         "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
@@ -107,10 +108,12 @@ class SlowEffects:
         same = self._size("thermal_damping", "c") * rise + self._size("damping_drift", "c") * t
         same = same + self._size("rate_dependent_damping", "c") * rate
         same = same + self._size("thermal_damping_lag", "c") * self._behind("thermal_damping_lag", rise)
+        late = "thermal_damping_anisotropy_lag"
+        unequal = self._pair("thermal_damping_anisotropy", "c_c", "c_s", rise) + self._pair(late, "c_c", "c_s", self._behind(late, rise))
         excess = self._size("angular_gain_error", "e") + self._size("rate_nonlinearity", "e") * np.abs(rate)
         excess = excess + self._size("rate_asymmetry", "e") * rate
         turn = excess * self._device.resonator.angular_gain * rate
-        return np.asarray(_symmetric(same, self._pair("thermal_damping_anisotropy", "c_c", "c_s", rise)) + turn[:, None, None] * J)
+        return np.asarray(_symmetric(same, unequal) + turn[:, None, None] * J)
 
     def _factor(self, chain: str, t: FloatArray, rise: FloatArray) -> ComplexArray:
         gain = 1.0 + self._pair(f"thermal_{chain}_gain", "g_x", "g_y", rise) + self._pair(f"{chain}_gain_drift", "g_x", "g_y", t)

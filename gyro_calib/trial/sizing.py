@@ -37,6 +37,7 @@ _WITH_TIMES = (
     "pickoff_memory",
     "charge_accumulation",
     "thermal_damping_lag",
+    "thermal_damping_anisotropy_lag",
     "thermal_split_lag",
     "thermal_drive_gain_lag",
     "thermal_pickoff_gain_lag",
