@@ -237,9 +237,9 @@ def _weighed(
     straight = [c for a, c in bank if a.depends_on == "time"]
     held = [*nuisances, *drifts]
     unnamed = [*turned, *strange, *straight]
+    plainly = Screener(Whitener.of(evidence, plain.noise), nuisances, target_of(evidence, angular_gain))
     # what lags behind the temperature shows in two or three records, which drifts of their own follow as well
-    shown = counting(Screener(Whitener.of(evidence, plain.noise), nuisances, target_of(evidence, angular_gain)), unnamed)
-    shown = list(dict.fromkeys([*(c.name for a, c in bank if a.form.startswith(LATE)), *shown]))
+    shown = counting(plainly, unnamed, first=[c.name for a, c in bank if a.form.startswith(LATE)])
     allowed = [*saturated_columns(evidence, linear, held, candidates, unnamed, shown), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)

@@ -21,6 +21,8 @@ __all__ = ["columns_of_time", "counting", "effect_columns", "is_of_time", "open_
 _SETTINGS = 4
 #: log evidence from which on an effect may be what repeated records differ by: half of what names it
 _COUNTS = 5.0
+#: and from which on it is there: what else has room comes after
+_SURE = 50.0
 #: columns over equations, at most
 _SATURATION = 0.5
 #: how much of a drive or of a reading a limiter or a dead zone may take, sd
@@ -70,10 +72,14 @@ def columns_of_time(candidates: Mapping[str, Sequence[Candidate]]) -> list[Colum
     return effect_columns([c for name, tried in candidates.items() if is_of_time(name) for c in _some(tried)])
 
 
-def counting(screener: Screener, candidates: Iterable[Candidate]) -> list[str]:
-    """Names of effects and of unnamed terms that may be there, the likeliest first: what repeats differ by need not be noise."""
+def counting(screener: Screener, candidates: Iterable[Candidate], first: Iterable[str] = ()) -> list[str]:
+    """Names of effects and of unnamed terms that may be there, the likeliest first: what repeats differ by need not be noise.
+
+    ``first``: names that come before those that are not sure to be there.
+    """
     found = sorted(screener.screened(candidates), key=lambda s: -s.log_evidence)
-    return list(dict.fromkeys(s.name for s in found if s.log_evidence > _COUNTS))
+    sure = (s.name for s in found if s.log_evidence > _SURE)
+    return list(dict.fromkeys([*sure, *first, *(s.name for s in found if s.log_evidence > _COUNTS)]))
 
 
 def open_drive(evidence: CampaignEvidence) -> bool:
@@ -123,9 +129,18 @@ def saturated_columns(
         small.setdefault(c.name, []).extend(_columns([_small(evidence, linear, c)]))
     room -= len(named)
     if sum(len(columns) for columns in small.values()) > room:
-        fits = np.cumsum([len(small[name]) for name in shown]) <= room
-        small = {name: small[name] for name, there in zip(shown, fits, strict=True) if there}
+        small = {name: small[name] for name in _that_fit(shown, small, room)}
     return [*nuisances, *named, *(c for columns in small.values() for c in columns)]
+
+
+def _that_fit(names: Sequence[str], columns: Mapping[str, Sequence[Column]], room: int) -> list[str]:
+    """Those that there is room for, one after the other."""
+    fit = []
+    for name in names:
+        if len(columns[name]) <= room:
+            room -= len(columns[name])
+            fit.append(name)
+    return fit
 
 
 def _columns(candidates: Sequence[Candidate]) -> list[Column]:
