@@ -28,7 +28,7 @@ from .signals import Signals
 from .spectral_effects import SpectralEffects, found_beside
 from .strangers import MARGIN
 
-__all__ = ["NAME", "OTHERS", "SHARE", "rounded", "with_coarse_drive", "with_steps"]
+__all__ = ["NAME", "SHARE", "rounded", "with_coarse_drive", "with_steps"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -38,7 +38,7 @@ _NOISE = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 #: share of what steps do that is theirs, at any of these
 SHARE = (0.3, 2.0)
 #: chi-square that such steps may have under any other name, over their own: between two rows the error goes on, which the form has not
-OTHERS = 3.0
+_OTHERS = 3.0
 #: terms of the series: those that noise of a twentieth of a step leaves
 _TERMS = 40
 
@@ -84,7 +84,17 @@ def with_coarse_drive(
 
 
 def with_steps(beside: SpectralEffects, linear: Linear, lsb_v: tuple[float, float], gain: float) -> SpectralEffects:
-    """The findings with steps of the drives of that size and sd [V], without the lines that those make."""
+    """The findings with steps of the drives, without the lines that those make.
+
+    Parameters
+    ----------
+    beside : SpectralEffects
+    linear : Linear
+    lsb_v : tuple of float
+        Size of a step and its sd [V].
+    gain : float
+        Chi-square that they take in the slow flow.
+    """
     # what a rounded drive holds beside its fundamental shakes the resonator as a tone does
     kept = tuple(e for e in beside.effects if "external_tone" not in e.group or _driven_v(e, linear) > 0.5 * lsb_v[0])
     gone = [e for e in beside.effects if e not in kept]
@@ -94,7 +104,7 @@ def with_steps(beside: SpectralEffects, linear: Linear, lsb_v: tuple[float, floa
         beside,
         effects=(*kept, found_beside(NAME, {"lsb": size}, gain, harmless=False)),
         standings=_with(beside.standings, statuses),
-        products=max(beside.products, OTHERS * gain),
+        products=max(beside.products, _OTHERS * gain),
         near=() if gone else beside.near,
     )
 
