@@ -131,7 +131,8 @@ def _largest(evidence: CampaignEvidence, linear: Linear, forms: Sequence[tuple[A
     signals = [r.signals for r in evidence]
     told = {name: [float(np.abs(getattr(s, name)).max()) for s in signals] for name in _TELLING}
     telling = [signals[k] for k in {int(np.argmax(sizes)) for sizes in told.values()}]
-    whole = {"output": max(told["pick"]), "drive": max(told["drive"])}
+    # where nothing is driven no share is anything
+    whole = {"output": max(told["pick"]) or 1.0, "drive": max(told["drive"]) or 1.0}
     sizes: dict[tuple[Anonymous, str], float] = {}
     for s in telling:
         for term, form in forms:

@@ -57,7 +57,7 @@ _LAG_S = 3e-5
 #: healthy devices of two other plants none lagged by three of its standard deviations
 _LAG_RAD = 0.1
 #: clock of the rows over that of the reference, of two crystals; and what a loop's command ripples with at twice the reference while the
-#: wave grows, which its rows do not hold and the drive does: of another plant 1e-5 to 7e-5 of the rate of change, at any phase
+#: wave grows, which its rows do not hold and the drive does: of four rings of a plant 4e-6 to 7e-5 of the rate of change, at any phase
 _CLOCK = 3e-5
 #: how equal drives are that shift the reference and that turn an envelope, gain and phase [rad]
 _OF_STIFFNESS = 1e-5

@@ -60,10 +60,10 @@ def with_unseen_steps(beside: SpectralEffects, model: CampaignModel, selection: 
 
 def _found(model: CampaignModel, said: float) -> tuple[Screened, float] | None:
     """The likeliest size and its sd [V], if what it does is as large as steps make it at some noise; ``said``: chi-square to beat."""
-    drives = [float(np.abs(r.signals.drive).max()) for r in model.evidence if r.is_wave]
-    if not drives:
+    largest_v = max((float(np.abs(r.signals.drive).max()) for r in model.evidence if r.is_wave), default=0.0)
+    if largest_v <= 0.0:
         return None
-    sizes = _sizes(max(drives))
+    sizes = _sizes(largest_v)
     tried, table = len(sizes) * len(_NOISE), _table(_LOOKED)
     found = _screened(model, sizes, table, tried)
     best = max(found, key=lambda s: s.gain, default=None)
