@@ -72,6 +72,22 @@ def test_the_course_is_told_by_the_recording_itself() -> None:
             assert not found[r.index].any()
 
 
+def test_a_resonance_far_away_lies_where_the_flow_counts_it() -> None:
+    """A stiffness that grew moves it to ``sqrt(omega^2 + 2 omega0 s)``: eight kelvins of a hemisphere, 8 mrad/s short of s."""
+    evidence, linear = known()
+    stiffer_rad_s, omega0 = 22.0, evidence.omega0_rad_s
+
+    def stiffened(r: Recording) -> Recording:
+        data = r.data.copy()
+        data[:, column_index("ref_freq")] = np.sqrt(r.ref_omega_rad_s**2 + 2.0 * omega0 * stiffer_rad_s) / (2.0 * math.pi)
+        return replace(r, data=data)
+
+    turning = {r.index: stiffened(r.recording) for r in evidence if r.recording.label in campaign()[1]}
+    before, after = wander_within(evidence, linear), wander_within(evidence.replaced(turning), linear)
+    for i in turning:
+        assert float(np.mean(after[i] - before[i])) == pytest.approx(stiffer_rad_s, abs=2e-5)
+
+
 def test_the_column_of_what_feeds_through_stays_where_the_drive_is() -> None:
     evidence, linear = known()
     following = replace(linear, followed=model_module.followed_of(evidence, *fit(evidence, linear)))

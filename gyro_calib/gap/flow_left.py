@@ -72,14 +72,13 @@ class FlowLeft:
 
 def flows_left(evidence: CampaignEvidence, linear: Linear) -> list[FlowLeft]:
     """Of every plain recording: a held wave that nothing but a side band or its own precession moves."""
-    return [_flow_left(r, evidence.omega0_rad_s, linear) for r in _plain(evidence)]
+    return [_flow_left(r, linear) for r in _plain(evidence)]
 
 
-def rows_left(s: Signals, omega0_rad_s: float, linear: Linear) -> tuple[FloatArray, ComplexArray, ComplexArray]:
+def rows_left(s: Signals, linear: Linear) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Azimuth of the wave [rad], and what the linear device leaves along it and across it over its amplitude [1/s], shape (n,) each."""
     m = motion(s, linear)
-    away = (s.omega_rad_s - omega0_rad_s)[:, None]
-    left = np.gradient(m, s.row_s, axis=0) + 1j * away * m - linear.acting(s, m) - s.drive @ linear.G.T
+    left = s.speed_of(m) - linear.acting(s, m) - s.drive @ linear.G.T
     phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(m**2, axis=1))))
     turned, left = m * phase[:, None], left * phase[:, None]
     azimuth = np.unwrap(np.arctan2(turned[:, 1].real, turned[:, 0].real))
@@ -94,9 +93,9 @@ def _plain(evidence: CampaignEvidence) -> Iterable[RecordingEvidence]:
     return (r for r in near if is_plain(r.recording))
 
 
-def _flow_left(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> FlowLeft:
+def _flow_left(r: RecordingEvidence, linear: Linear) -> FlowLeft:
     s, command = r.signals, r.recording.command
-    azimuth, along, across = rows_left(s, omega0_rad_s, linear)
+    azimuth, along, across = rows_left(s, linear)
     return FlowLeft(
         r.recording.label,
         (command.mode, round(command.setpoints.amplitude_v, 6), command.setpoints.virtual_precession_v != 0.0),

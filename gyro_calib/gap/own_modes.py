@@ -23,7 +23,7 @@ def modes(signals: list[Signals]) -> list[Setting]:
 def mode_parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """Resonances of their own, which follow the temperature as the gyro's does; an open drive has held them in their steady state."""
     pole = 2.0 * np.pi * complex(-setting["half_width_hz"], setting["separation_hz"])
-    behind = s.omega_rad_s - s.omega0_rad_s - d.moved(s).imag
+    behind = s.detuning_rad_s - d.moved(s).imag
     if s.recording.command.mode == "loops_off":
         answers = s.drive / (1j * behind - pole)[:, None]
     else:

@@ -187,6 +187,26 @@ class Signals:
         return np.asarray(thin(self.recording.ref_omega_rad_s, self.width))
 
     @cached_property
+    def detuning_rad_s(self) -> FloatArray:
+        """How far the reference is from ``omega0`` as the slow flow counts it, ``(omega^2 - omega0^2) / 2 omega0``, shape (n,).
+
+        Of a hemisphere that is warmed by 8 K it is 8 mrad/s more than the difference: with 2 V of drive and E = 2e-4 that is 3e-6 rad/s.
+        """
+        return np.asarray((self.omega_rad_s**2 - self.omega0_rad_s**2) / (2.0 * self.omega0_rad_s))
+
+    @cached_property
+    def _shift(self) -> ComplexArray:
+        """What multiplies x in L[x] while the reference stands still, shape (n,)."""
+        slow = (self.omega_rad_s - self.omega0_rad_s) / (2.0 * self.omega0_rad_s)
+        return np.asarray(1j * self.detuning_rad_s + 2.0 * self.decay_rate * slow)
+
+    def speed_of(self, x: ComplexArray) -> ComplexArray:
+        """L[x] row by row, shape (n, 2), but for the second order of the carrier: it equals ``A x + G u`` of a motion."""
+        stretch, creep = moving_reference(self.omega_rad_s, self.row_s, self.omega0_rad_s)
+        change = stretch[:, None] * np.gradient(x, self.row_s, axis=0)
+        return np.asarray(change + (self._shift + creep)[:, None] * x)
+
+    @cached_property
     def time_s(self) -> FloatArray:
         """Device time since the start of the campaign, shape (n,)."""
         return np.asarray(thin(self.recording.t, self.width)) - self.start_s
@@ -266,12 +286,10 @@ class Projector:
     def _through_flow(self) -> ComplexArray:
         """Operator of :meth:`through_flow`: L by parts, every derivative on the test functions and the frame."""
         s = self.signals
-        omega, omega0 = s.omega_rad_s, s.omega0_rad_s
-        slow = (omega - omega0) / (2.0 * omega0)
-        stretch, creep = moving_reference(omega, s.row_s, omega0)
+        stretch, creep = moving_reference(s.omega_rad_s, s.row_s, s.omega0_rad_s)
         gain = stretch[None, :, None]
-        shift = (1j * (omega**2 - omega0**2) / (2.0 * omega0) + 2.0 * s.decay_rate * slow - creep)[None, :, None]
-        twice = 2j * omega0
+        shift = (s._shift - creep)[None, :, None]
+        twice = 2j * s.omega0_rad_s
         value, first, second = (w[:, :, None] for w in (self.value, self.first, self.second))
         parts = []
         for m, m1, m2 in ((d[0][None], d[1][None], d[2][None]) for d in s._frame):

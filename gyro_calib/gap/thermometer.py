@@ -103,14 +103,13 @@ def own_detuning_rad_s(r: RecordingEvidence, linear: Linear, values: Mapping[str
     """How far the resonance was from where the thermometer puts it, beyond the mean of the record [rad/s], shape (n,).
 
     Of a wave that is held at one amplitude; zero in other records. The distance from where the linear device has it is what turns the
-    phase of the wave: ``Im(p^H (p' + i (omega - omega0) p - A p - G u)) / |p|^2``, p the motion. The slope that the fit gave comes to that.
+    phase of the wave: ``Im(p^H (L[p] - A p - G u)) / |p|^2``, p the motion. The slope that the fit gave comes to that.
     """
     s = r.signals
     if r.recording.command.mode not in _HELD:
         return np.zeros(s.time_s.shape)
     p = s.pick - s.drive @ linear.E.T
-    flow = np.gradient(p, s.row_s, axis=0) + 1j * (s.omega_rad_s - s.omega0_rad_s)[:, None] * p
-    rest = flow - linear.acting(s, p) - s.drive @ linear.G.T
+    rest = s.speed_of(p) - linear.acting(s, p) - s.drive @ linear.G.T
     away = np.einsum("na,na->n", p.conj(), rest).imag / np.einsum("na,na->n", p.conj(), p).real
     away += values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(away))
     smooth = uniform_filter1d(away, max(round(SMOOTH_S / s.row_s), 1), mode="nearest")

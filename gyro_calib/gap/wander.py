@@ -34,8 +34,7 @@ _AT_REST, _HARMONICS = 0.3, (2.0, 4.0)
 
 def wander_within(evidence: CampaignEvidence, linear: Linear) -> tuple[FloatArray, ...]:
     """Distance of the resonance beyond what ``linear`` knows of it [rad/s], by recording, shape (n,) each; zero where it is left alone."""
-    omega0 = evidence.omega0_rad_s
-    return tuple(_wander(r, omega0, linear) if _is_told(r) else np.zeros(len(r.signals.time_s)) for r in evidence)
+    return tuple(_wander(r, linear) if _is_told(r) else np.zeros(len(r.signals.time_s)) for r in evidence)
 
 
 def _is_told(r: RecordingEvidence) -> bool:
@@ -44,8 +43,8 @@ def _is_told(r: RecordingEvidence) -> bool:
     return r.is_wave and still and not r.is_warming and not is_turned(r.recording)
 
 
-def _wander(r: RecordingEvidence, omega0_rad_s: float, linear: Linear) -> FloatArray:
-    azimuth, along, _ = rows_left(r.signals, omega0_rad_s, linear)
+def _wander(r: RecordingEvidence, linear: Linear) -> FloatArray:
+    azimuth, along, _ = rows_left(r.signals, linear)
     turned_rad = abs(float(azimuth[-1] - azimuth[0]))
     below = int(_BELOW_TURN * 4.0 * turned_rad / (2.0 * math.pi))
     count = _COSINES if turned_rad < _AT_REST else min(_COSINES, max(below, _FEWEST))
