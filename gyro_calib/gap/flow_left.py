@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .evidence import CHANNELS, CampaignEvidence, RecordingEvidence
 from .linear_device import TEMPERATURE_SPAN_K
-from .parts import Linear, motion
+from .parts import Linear, motion, unexplained
 from .signals import Signals
 from .spectra import is_plain
 
@@ -77,8 +77,7 @@ def flows_left(evidence: CampaignEvidence, linear: Linear) -> list[FlowLeft]:
 
 def rows_left(s: Signals, linear: Linear) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Azimuth of the wave [rad], and what the linear device leaves along it and across it over its amplitude [1/s], shape (n,) each."""
-    m = motion(s, linear)
-    left = s.speed_of(m) - linear.acting(s, m) - s.drive @ linear.G.T
+    m, left = motion(s, linear), unexplained(s, linear)
     phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(m**2, axis=1))))
     turned, left = m * phase[:, None], left * phase[:, None]
     azimuth = np.unwrap(np.arctan2(turned[:, 1].real, turned[:, 0].real))

@@ -27,6 +27,7 @@ __all__ = [
     "one_axis",
     "read_at_once",
     "turned",
+    "unexplained",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -140,6 +141,12 @@ def one_axis(x: ComplexArray, axis: int) -> ComplexArray:
 def motion(s: Signals, d: Linear) -> ComplexArray:
     """Motion in pick-off volts, ``V - E u``, shape (n, 2)."""
     return s.once("motion", d, lambda: np.asarray(s.pick - s.drive @ d.E.T))
+
+
+def unexplained(s: Signals, d: Linear) -> ComplexArray:
+    """What the linear device leaves of how its motion changes, ``L[m] - A m - G u`` [V/s], shape (n, 2)."""
+    m = motion(s, d)
+    return np.asarray(s.speed_of(m) - d.acting(s, m) - s.drive @ d.G.T)
 
 
 def turned(x: ComplexArray) -> ComplexArray:

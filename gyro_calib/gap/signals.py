@@ -196,12 +196,12 @@ class Signals:
 
     @cached_property
     def _shift(self) -> ComplexArray:
-        """What multiplies x in L[x] while the reference stands still, shape (n,)."""
+        """What multiplies x in L[x] while the reference stands still [rad/s], shape (n,)."""
         slow = (self.omega_rad_s - self.omega0_rad_s) / (2.0 * self.omega0_rad_s)
         return np.asarray(1j * self.detuning_rad_s + 2.0 * self.decay_rate * slow)
 
     def speed_of(self, x: ComplexArray) -> ComplexArray:
-        """L[x] row by row, shape (n, 2), but for the second order of the carrier: it equals ``A x + G u`` of a motion."""
+        """L[x] row by row [of x per second], shape (n, 2) as x, its second derivative left out: of a motion it is ``A x + G u``."""
         stretch, creep = moving_reference(self.omega_rad_s, self.row_s, self.omega0_rad_s)
         change = stretch[:, None] * np.gradient(x, self.row_s, axis=0)
         return np.asarray(change + (self._shift + creep)[:, None] * x)

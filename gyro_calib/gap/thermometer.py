@@ -18,7 +18,7 @@ from .column import Column
 from .evidence import CampaignEvidence, RecordingEvidence
 from .linear_device import span_k
 from .nuisance import BOTH_PICKOFFS, GAIN_PER_K, NOTICED_K, following_columns
-from .parts import Linear
+from .parts import Linear, motion, unexplained
 from .signals import SMOOTH_S, with_temperature
 
 __all__ = [
@@ -108,8 +108,7 @@ def own_detuning_rad_s(r: RecordingEvidence, linear: Linear, values: Mapping[str
     s = r.signals
     if r.recording.command.mode not in _HELD:
         return np.zeros(s.time_s.shape)
-    p = s.pick - s.drive @ linear.E.T
-    rest = s.speed_of(p) - linear.acting(s, p) - s.drive @ linear.G.T
+    p, rest = motion(s, linear), unexplained(s, linear)
     away = np.einsum("na,na->n", p.conj(), rest).imag / np.einsum("na,na->n", p.conj(), p).real
     away += values.get(f"slide_{r.index}", 0.0) * np.linspace(-1.0, 1.0, len(away))
     smooth = uniform_filter1d(away, max(round(SMOOTH_S / s.row_s), 1), mode="nearest")
