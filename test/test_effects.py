@@ -181,6 +181,7 @@ def _of_late_y(r: Rows) -> ComplexArray:
 RAMP_K_S, LAG_S = 2.0, 0.3
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
+    "thermal_damping_curvature": ({"c": 0.01}, lambda r: -r.size["c"] * WARM_K**2 * r.p),
     "thermal_damping_anisotropy": ({"c_c": 0.02, "c_s": 0.03}, lambda r: -WARM_K * r.p @ split(r, "c_c", "c_s")),
     "thermal_frequency_curvature": ({"k": 0.01}, lambda r: 1j * r.size["k"] * WARM_K**2 * r.p),
     "thermal_split": ({"k_c": 0.02, "k_s": 0.03}, lambda r: 1j * WARM_K * r.p @ split(r, "k_c", "k_s")),

@@ -197,6 +197,12 @@ def test_a_thermometer_s_lag_is_seen_at_any_time() -> None:
         assert best.log_evidence > MARGIN, tau
 
 
+def test_what_changes_the_damping_can_be_drawn() -> None:
+    """Its time constant is no damping."""
+    for name in ("thermal_damping_curvature", "thermal_damping_lag", "thermal_damping_anisotropy", "thermal_damping_anisotropy_lag"):
+        assert size_effect(healthy("ring"), name, 10.0, np.random.default_rng(1)) is not None, name
+
+
 def test_an_effect_may_count_between_two_settings_alone() -> None:
     """A mode at 1.4 Hz, tried at 1 and 2 Hz; where nothing nearly counts nothing is tried again."""
     model = healthy("ring")

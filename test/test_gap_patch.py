@@ -140,6 +140,22 @@ def test_effects_found_replace_those_tested_and_leave_the_others():
     assert slope == pytest.approx(0.004, rel=1e-6)
 
 
+def test_damping_that_bends_is_what_its_law_of_temperature_leaves():
+    previous = load_device("ring_15k")
+    values = {"thermal_drive_gain.g_x": 1e-4, "thermal_damping.c": 0.01, "damping_per_k2": 3e-4}
+    found = FoundEffect(
+        "thermal_damping_curvature", "", ("thermal_damping_curvature",), 0.99, {"c": Quantity(-1e-3, 1e-5, "1/s/K^2")}, "dynamics",
+        "thermal_damping_curvature", 100.0,
+    )  # fmt: skip
+    estimate = estimate_of(previous, turned=False, values=values)
+    patched = patched_device(previous, diagnosis_of(estimate, [found], [standing("thermal_damping_curvature", "present")]))
+    rise = np.array([-4.0, 4.0])
+    rates = [patched.resonator.decay_rate(TEMPERATURE + r) for r in rise] + patched.effects["thermal_damping_curvature"]["c"] * rise**2
+    # the nuisance counts p' = +T^2 p, the effect -c T^2 p
+    expected = patched.resonator.decay_rate(TEMPERATURE) + 0.01 * rise + (-1e-3 - 3e-4) * rise**2
+    np.testing.assert_allclose(rates, expected, atol=1e-6)
+
+
 # -- the whole way ----------------------------------------------------------------------------------------------------------------------
 
 

@@ -23,6 +23,13 @@ THERMAL = (
         ("damping_drift", "thermal_drive_gain"),
     ),
     Effect(
+        "thermal_damping_curvature", "Damping that bends with temperature", "environment", (28,),
+        (signed("c", "1/s/K^2", 2e-4, 0.1, "decay rate per kelvin squared, besides the law of the quality factor"),),
+        ("temperature",), BOTH,
+        "p' += -c T^2 p",
+        ("thermal_damping_lag", "thermal_drive_gain_curvature"),
+    ),
+    Effect(
         "thermal_damping_anisotropy", "Damping anisotropy that follows the temperature", "environment", (2, 28),
         pair("c_c c_s", "1/s/K", 2e-4, 0.5, "decay rate per kelvin, by axis (c) and across (s)"),
         ("temperature",), BOTH,

@@ -346,6 +346,7 @@ FORMS: dict[str, Form] = {
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", one_axis(_lag(s, s.pick), 1))]),
     # environment
     "thermal_damping": _damping("c", _warm),
+    "thermal_damping_curvature": _damping("c", _warm_squared),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
     "thermal_frequency_curvature": _stiffness("k", _warm_squared),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),

@@ -42,7 +42,11 @@ _THERMAL = (
     "thermal_drive_phase",
     "thermal_pickoff_gain",
 )
-_CURVATURE = "thermal_frequency_curvature"
+#: nuisances that are effects of a device file under another name, and their sign there
+_BENDS = {
+    "thermal_frequency_curvature": ("k", "frequency_per_k2", 1.0),
+    "thermal_damping_curvature": ("c", "damping_per_k2", -1.0),
+}
 #: is there when the temperature moved enough to fit how the device follows it
 _WARMED = "thermal_drive_gain.g_x"
 #: coefficients of a device file that are effects of the registry under another name
@@ -141,7 +145,7 @@ def patch_notes(device: Device, diagnosis: Diagnosis) -> tuple[str, ...]:
     ]
     if not np.any(device.feedthrough_matrix()) and np.any(estimate.E):
         notes.append("The electronics of this device let nothing feed through: the feedthrough that was estimated has no effect.")
-    kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, _CURVATURE})
+    kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, *_BENDS})
     if kept:
         notes.append(f"Kept from the previous file, because these recordings cannot test them: {', '.join(kept)}.")
     return tuple(notes)
@@ -317,16 +321,21 @@ def _effects(device: Device, diagnosis: Diagnosis, estimate: PatchedEstimate) ->
         values = {p.name: estimate.values.get(f"{name}.{p.name}", 0.0) for p in EFFECTS[name].parameters}
         if any(values.values()):
             sizes[name] = values
-    curvature = estimate.values.get("frequency_per_k2", 0.0)
-    if curvature:
-        sizes[_CURVATURE] = {"k": curvature}
-    for found in diagnosis.effects:
-        known = {p.name for p in EFFECTS[found.registry_name].parameters}
-        sizes[found.registry_name] = {key: quantity.value for key, quantity in found.parameters.items() if key in known}
-    if curvature and _CURVATURE in {e.registry_name for e in diagnosis.effects}:
-        # a nuisance of the same form had its share
-        sizes[_CURVATURE]["k"] += curvature
+    for effect in diagnosis.effects:
+        known = {p.name for p in EFFECTS[effect.registry_name].parameters}
+        sizes[effect.registry_name] = {key: quantity.value for key, quantity in effect.parameters.items() if key in known}
+    for name, (parameter, nuisance, sign) in _BENDS.items():
+        if nuisance in estimate.values:
+            found = sizes[name][parameter] if name in {e.registry_name for e in diagnosis.effects} else 0.0
+            sizes[name] = {parameter: found + sign * estimate.values[nuisance] - (_bend_of_law(estimate) if parameter == "c" else 0.0)}
     return {name: _within(name, values) for name, values in sizes.items()}
+
+
+def _bend_of_law(estimate: PatchedEstimate) -> float:
+    """Half the second derivative [1/s/K^2] of the decay rate that the device file's law of the quality factor makes of the first."""
+    kelvin, rate = estimate.temperature_degc + ZERO_CELSIUS_K, -0.5 * float(np.trace(estimate.A).real)
+    exponent = estimate.values.get("thermal_damping.c", 0.0) * kelvin / rate
+    return 0.5 * rate * exponent * (exponent - 1.0) / kelvin**2
 
 
 def _within(name: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -19,7 +19,8 @@ ComplexArray = NDArray[np.complex128]
 #: effects of this module besides the feedthrough that moves
 SLOW_EFFECTS = frozenset(
     (
-        "thermal_damping", "thermal_damping_anisotropy", "thermal_frequency_curvature", "thermal_split", "thermal_lag",
+        "thermal_damping", "thermal_damping_curvature", "thermal_damping_anisotropy",
+        "thermal_frequency_curvature", "thermal_split", "thermal_lag",
         "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
         "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
@@ -105,7 +106,8 @@ class SlowEffects:
         return _symmetric(same, split)
 
     def _damping(self, t: FloatArray, rise: FloatArray, rate: FloatArray) -> FloatArray:
-        same = self._size("thermal_damping", "c") * rise + self._size("damping_drift", "c") * t
+        same = self._size("thermal_damping", "c") * rise + self._size("thermal_damping_curvature", "c") * rise**2
+        same = same + self._size("damping_drift", "c") * t
         same = same + self._size("rate_dependent_damping", "c") * rate
         same = same + self._size("thermal_damping_lag", "c") * self._behind("thermal_damping_lag", rise)
         late = "thermal_damping_anisotropy_lag"

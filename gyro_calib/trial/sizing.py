@@ -112,7 +112,7 @@ def size_effect(model: CampaignModel, name: str, snr: float, rng: np.random.Gene
     sizes = {p: factor * value for p, value in draw.items()} | {k: v for k, v in setting.items() if k != "axes"} | silent
     if any(not effect.parameter(p).lower <= v <= effect.parameter(p).upper for p, v in sizes.items()):
         return None
-    return None if _undamped(model, name, sizes) else Sized(name, sizes, factor * signal)
+    return None if _undamped(model, name, [sizes[p] for p in linear]) else Sized(name, sizes, factor * signal)
 
 
 def _without_rest(found: Sequence[Column], columns: FloatArray) -> FloatArray:
@@ -122,11 +122,13 @@ def _without_rest(found: Sequence[Column], columns: FloatArray) -> FloatArray:
     return np.asarray(own - beside @ (beside.T @ own))
 
 
-def _undamped(model: CampaignModel, name: str, sizes: Mapping[str, float]) -> bool:
+def _undamped(model: CampaignModel, name: str, sizes: Sequence[float]) -> bool:
+    """Whether a coefficient of the damping would leave the warmest recording with next to none."""
     if not name.startswith("thermal_damping"):
         return False
     warmest_k = max(float(np.abs(r.signals.temperature_k).max()) for r in model.evidence)
-    return max(map(abs, sizes.values())) * warmest_k > _MOST_DAMPING * model.evidence.decay_rate
+    lever = warmest_k**2 if name.endswith("_curvature") else warmest_k
+    return max(map(abs, sizes)) * lever > _MOST_DAMPING * model.evidence.decay_rate
 
 
 def _levelled(model: CampaignModel, name: str, snr: float) -> Sized | None:
