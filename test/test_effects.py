@@ -178,10 +178,16 @@ def _of_late_y(r: Rows) -> ComplexArray:
     return np.asarray(r.p @ other.T + r.u @ (turn @ r.G - r.G).T + r.reading(late))
 
 
+def losses(r: Rows) -> ComplexArray:
+    """The damping over its mean."""
+    lossy = (r.A + r.A.T).real
+    return np.asarray(2.0 * lossy / np.trace(lossy), dtype=complex)
+
+
 RAMP_K_S, LAG_S = 2.0, 0.3
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
-    "thermal_damping_curvature": ({"c": 0.01}, lambda r: -r.size["c"] * WARM_K**2 * r.p),
+    "thermal_damping_curvature": ({"c": 0.01}, lambda r: -r.size["c"] * WARM_K**2 * r.p @ losses(r)),
     "thermal_damping_anisotropy": ({"c_c": 0.02, "c_s": 0.03}, lambda r: -WARM_K * r.p @ split(r, "c_c", "c_s")),
     "thermal_frequency_curvature": ({"k": 0.01}, lambda r: 1j * r.size["k"] * WARM_K**2 * r.p),
     "thermal_split": ({"k_c": 0.02, "k_s": 0.03}, lambda r: 1j * WARM_K * r.p @ split(r, "k_c", "k_s")),
@@ -236,6 +242,8 @@ def surroundings(name: str) -> dict[str, float]:
 @pytest.mark.parametrize("name", ENVIRONMENT)
 def test_effect_of_surroundings_and_time_is_its_closed_form(plain: Device, name: str) -> None:
     sizes, form = ENVIRONMENT[name]
+    if name == "thermal_damping_curvature":
+        plain = replace(plain, resonator=replace(plain.resonator, damping_anisotropy=0.4, damping_azimuth_rad=0.2))
     rows = measured(plain, {name: sizes}, **surroundings(name))
     assert_form(rows, form(rows), 0.01)
 

@@ -26,7 +26,7 @@ THERMAL = (
         "thermal_damping_curvature", "Damping that bends with temperature", "environment", (28,),
         (signed("c", "1/s/K^2", 2e-4, 0.1, "decay rate per kelvin squared, besides the law of the quality factor"),),
         ("temperature",), BOTH,
-        "p' += -c T^2 p",
+        "p' += -c T^2 (D / mean D) p, D the damping, unequal as it is",
         ("thermal_damping_lag", "thermal_drive_gain_curvature"),
     ),
     Effect(

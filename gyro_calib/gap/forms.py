@@ -229,6 +229,16 @@ def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
     return Form(lambda s, d, g: [Part(parameter, "flow", -x(s)[:, None] * _velocity(s, d))])
 
 
+def _bent_damping(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """What is unequal of the damping bends with it."""
+    lossy = -0.5 * (d.A + d.A.T).real
+    mean = 0.5 * float(np.trace(lossy))
+    unequal = lossy - mean * np.eye(2)
+    # a pump may undo all of it but what is unequal
+    unequal /= max(mean, 2.0 * float(np.abs(unequal).max()), np.finfo(float).tiny)
+    return [Part("c", "flow", -_warm_squared(s)[:, None] * (_velocity(s, d) @ (np.eye(2) + unequal)))]
+
+
 def _warm(s: Signals) -> FloatArray:
     return s.temperature_k
 
@@ -346,7 +356,7 @@ FORMS: dict[str, Form] = {
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", one_axis(_lag(s, s.pick), 1))]),
     # environment
     "thermal_damping": _damping("c", _warm),
-    "thermal_damping_curvature": _damping("c", _warm_squared),
+    "thermal_damping_curvature": Form(_bent_damping),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
     "thermal_frequency_curvature": _stiffness("k", _warm_squared),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),

@@ -106,8 +106,7 @@ class SlowEffects:
         return _symmetric(same, split)
 
     def _damping(self, t: FloatArray, rise: FloatArray, rate: FloatArray) -> FloatArray:
-        same = self._size("thermal_damping", "c") * rise + self._size("thermal_damping_curvature", "c") * rise**2
-        same = same + self._size("damping_drift", "c") * t
+        same = self._size("thermal_damping", "c") * rise + self._size("damping_drift", "c") * t
         same = same + self._size("rate_dependent_damping", "c") * rate
         same = same + self._size("thermal_damping_lag", "c") * self._behind("thermal_damping_lag", rise)
         late = "thermal_damping_anisotropy_lag"
@@ -115,7 +114,9 @@ class SlowEffects:
         excess = self._size("angular_gain_error", "e") + self._size("rate_nonlinearity", "e") * np.abs(rate)
         excess = excess + self._size("rate_asymmetry", "e") * rate
         turn = excess * self._device.resonator.angular_gain * rate
-        return np.asarray(_symmetric(same, unequal) + turn[:, None, None] * J)
+        damping = self._device.resonator.damping_matrix()
+        bent = self._size("thermal_damping_curvature", "c") * np.multiply.outer(rise**2, 2.0 * damping / np.trace(damping))
+        return np.asarray(_symmetric(same, unequal) + bent + turn[:, None, None] * J)
 
     def _factor(self, chain: str, t: FloatArray, rise: FloatArray) -> ComplexArray:
         gain = 1.0 + self._pair(f"thermal_{chain}_gain", "g_x", "g_y", rise) + self._pair(f"{chain}_gain_drift", "g_x", "g_y", t)
