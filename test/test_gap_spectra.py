@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from gyro_calib.gap.diagnose import _without_products
 from gyro_calib.gap.noise_growth import noise_growth
@@ -17,7 +18,7 @@ from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import Selection
 from gyro_calib.gap.spectra import is_image, pick_spectra
 from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
-from gyro_calib.gap.tones import find_tone
+from gyro_calib.gap.tones import _volts, find_tone
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Excitation, Setpoints
 from gyro_calib.recording.recording import Recording
@@ -89,6 +90,22 @@ def test_a_gain_that_ripples_is_no_hum() -> None:
     hum = find_tone(pick_spectra(records(np.random.default_rng(1), hum=(50.0, 1e-5))), LINEAR)
     assert hum is not None
     assert not hum.of_wave
+
+
+@pytest.mark.parametrize("hum_v", [0.0, 2e-5])
+def test_of_a_line_that_the_reference_follows_only_the_hum_is_left(hum_v: float) -> None:
+    """A phase-locked loop that swings moves what is read by ``-i (omega - omega0) p``, and its frequency says so."""
+    (r, *_) = records(np.random.default_rng(0), carrier_hz=(15000.0,), of_each=1)
+    hz, swing_rad_s, data = 6.0, 2e-3, r.data.copy()
+    t = data[:, 0]
+    # x rings at 1 V about the mean frequency, held by its drive
+    shift = swing_rad_s * np.cos(2.0 * np.pi * hz * t)
+    made = solve_ivp(lambda at, p: -1.5 * (p - 1.0) - 1j * np.interp(at, t, shift) * p, (t[0], t[-1]), [1.0 + 0j], t_eval=t, max_step=0.002)
+    pick = made.y[0] + hum_v * np.cos(2.0 * np.pi * hz * t)
+    data[:, 2:6], data[:, 7], data[:, 10] = 0.0, 1.5 / 8.0, 15000.0 + shift / (2.0 * np.pi)
+    data[:, 2], data[:, 3] = pick.real, pick.imag
+    left = _volts(replace(r, data=data), hz, LINEAR, hum=True)
+    assert left == pytest.approx([hum_v, 0.0], abs=0.02 * swing_rad_s / (2.0 * np.pi * hz))
 
 
 @pytest.mark.parametrize("inside_hz", [2.75, 2.9])

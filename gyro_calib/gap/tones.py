@@ -196,14 +196,18 @@ def _share(r: Recording, away_hz: float) -> float:
 
 
 def _volts(r: Recording, away_hz: float, linear: Linear, *, hum: bool) -> FloatArray:
-    """Hum on the pick-offs, or drive volts of the tone: what the slow flow does not explain of the line."""
+    """Hum on the pick-offs, or drive volts of the tone: what the slow flow does not explain of the line.
+
+    A phase-locked loop answers the line with the reference, about which all phases are told.
+    """
     window = steep_window(len(r))
+    swinging = 1j * (r.ref_omega_rad_s - r.ref_omega_rad_s.mean())[:, None] * r.pick
     lines = []
     for f in (away_hz, -away_hz) if hum else (away_hz,):
         wave = window * np.exp(-2j * np.pi * f * (r.t - r.t[0])) / window.sum()
-        pick, drive = wave @ detrended(r.pick), wave @ detrended(r.drive)
+        pick, drive, steered = (wave @ detrended(x) for x in (r.pick, r.drive, swinging))
         flow = 2j * np.pi * f * np.eye(2) - linear.A
-        forced = np.linalg.solve(flow, linear.G @ drive)
-        lines.append(pick - forced if hum else np.linalg.solve(linear.G, flow @ pick) - drive)
+        left = flow @ pick + steered - linear.G @ drive
+        lines.append(np.linalg.solve(flow if hum else linear.G, left))
     # a real hum stands to both sides of the carrier, half of it on each
     return np.asarray(np.sum(np.abs(lines), axis=0))
