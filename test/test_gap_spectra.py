@@ -108,13 +108,13 @@ def test_of_a_line_that_the_reference_follows_only_the_hum_is_left(hum_v: float)
     assert left == pytest.approx([hum_v, 0.0], abs=0.02 * swing_rad_s / (2.0 * np.pi * hz))
 
 
-@pytest.mark.parametrize("inside_hz", [2.75, 2.9])
+@pytest.mark.parametrize("inside_hz", [0.75, 0.9])
 def test_the_skirt_of_what_stands_nearer_to_the_carrier_is_no_line(inside_hz: float) -> None:
-    """Bins nearer than 3 Hz belong to the wave: what stands there is told by the slow flow, not by the skirt that reaches beyond."""
+    """Bins nearer than 1 Hz belong to the wave: what stands there is told by the slow flow, not by the skirt that reaches beyond."""
     assert find_tone(pick_spectra(records(np.random.default_rng(3), hum=(inside_hz, 1e-4))), LINEAR) is None
-    beyond = find_tone(pick_spectra(records(np.random.default_rng(3), hum=(3.5, 1e-4))), LINEAR)
+    beyond = find_tone(pick_spectra(records(np.random.default_rng(3), hum=(1.5, 1e-4))), LINEAR)
     assert beyond is not None
-    assert beyond.frequency_hz == pytest.approx(3.5, abs=0.02)
+    assert beyond.frequency_hz == pytest.approx(1.5, abs=0.02)
 
 
 def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
@@ -125,6 +125,13 @@ def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
     assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
     # what moves the pick-off by that much at 41.7 Hz from resonance
     assert tone.volts[0] == pytest.approx(3e-6 * 2 * np.pi * 41.55 / 8.0, rel=0.1)
+
+
+def test_a_tone_within_two_hertz_of_the_carrier_is_one() -> None:
+    tone = find_tone(pick_spectra(records(np.random.default_rng(2), tone=(15001.6, 3e-6))), LINEAR)
+    assert tone is not None
+    assert tone.name == "external_tone"
+    assert tone.frequency_hz == pytest.approx(15001.6, abs=0.1)
 
 
 def test_a_tone_that_no_record_shows_by_itself_stands_in_all_of_them() -> None:

@@ -25,8 +25,11 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: bins on which the floor's median is taken, to both sides; its ratio to the mean of an exponential distribution
 _FLOOR_BINS, _MEDIAN = 30, float(np.log(2.0))
-#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal
-_LEAST_BINS, _HARMONICS = 30.0, 16.0
+#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal: the floor of healthy devices is flat from
+#: the seventh bin on
+_LEAST_BINS, _HARMONICS = 10.0, 16.0
+#: bins from a tone within which an open drive shares its signal
+_NEAR_BINS = 30.0
 #: power of a Hann window whose side lobes fall below the floor within those bins: a turning wave of a volt stands beside nanovolts
 _POWER = 3
 _SHORTEST_S = 4.0
@@ -122,7 +125,7 @@ def pick_spectra(recordings: Sequence[Recording]) -> list[PickSpectrum]:
 def near_line(recordings: Sequence[Recording], frequency_hz: float) -> tuple[int, ...]:
     """Places of recordings of whose signal a line may be taken for a part: an open drive may stand beside it."""
     away = [abs(float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi) - frequency_hz) for r in recordings]
-    return tuple(k for k, (r, hz) in enumerate(zip(recordings, away, strict=True)) if hz < _LEAST_BINS / r.duration_s)
+    return tuple(k for k, (r, hz) in enumerate(zip(recordings, away, strict=True)) if hz < _NEAR_BINS / r.duration_s)
 
 
 def _spectrum(r: Recording) -> PickSpectrum:
