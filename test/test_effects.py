@@ -190,6 +190,8 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping_curvature": ({"c": 0.01}, lambda r: -r.size["c"] * WARM_K**2 * r.p @ losses(r)),
     "thermal_damping_anisotropy": ({"c_c": 0.02, "c_s": 0.03}, lambda r: -WARM_K * r.p @ split(r, "c_c", "c_s")),
     "thermal_frequency_curvature": ({"k": 0.01}, lambda r: 1j * r.size["k"] * WARM_K**2 * r.p),
+    "thermal_bias": ({"b": 0.02}, lambda r: -r.size["b"] * 0.8 * WARM_K * r.p @ TURN.T),
+    "bias_drift": ({"b": 0.1}, lambda r: -r.size["b"] * 0.8 * r.t[:, None] * (r.p @ TURN.T)),
     "thermal_split": ({"k_c": 0.02, "k_s": 0.03}, lambda r: 1j * WARM_K * r.p @ split(r, "k_c", "k_s")),
     "thermal_drive_gain": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.force(WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_drive_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.force(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
@@ -227,6 +229,7 @@ def behind(r: Rows) -> ComplexArray:
 LATE: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping_lag": ({"c": 0.2}, lambda r: -r.size["c"] * behind(r) * r.p),
     "thermal_damping_anisotropy_lag": ({"c_c": 0.2, "c_s": 0.3}, lambda r: -behind(r) * (r.p @ split(r, "c_c", "c_s"))),
+    "thermal_bias_lag": ({"b": 0.2}, lambda r: -0.8 * r.size["b"] * behind(r) * (r.p @ TURN.T)),
     "thermal_split_lag": ({"k_c": 0.2, "k_s": 0.3}, lambda r: 1j * behind(r) * (r.p @ split(r, "k_c", "k_s"))),
     "thermal_drive_gain_lag": ({"g_x": 0.02, "g_y": 0.03}, lambda r: r.force(behind(r) * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_pickoff_gain_lag": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.reading(behind(r) * by_axis(r, "g_x", "g_y") * r.p)),

@@ -58,6 +58,13 @@ THERMAL = (
         ("thermal_frequency_curvature", "frequency_ageing"),
     ),
     Effect(
+        "thermal_bias", "Bias that follows the temperature", "environment", (12, 38),
+        (signed("b", "rad/s/K", 1e-5, 1.0, "apparent rate per kelvin"),),
+        ("temperature",), BOTH,
+        "p' += -kappa b T J p",
+        ("thermal_damping_anisotropy", "thermal_bias_lag"),
+    ),
+    Effect(
         "thermal_drive_gain", "Drive gains that follow the temperature, by axis", "environment", (29,),
         pair("g_x g_y", "1/K", 2e-4, 0.05, "relative gain per kelvin"),
         ("temperature",), BOTH,
@@ -121,6 +128,13 @@ THERMAL = (
         ("thermal_split", "split_drift", "charge_accumulation"),
     ),
     Effect(
+        "thermal_bias_lag", "Bias of a device that is not warm throughout: it follows the slope of the temperature", "environment", (30,),
+        (signed("b", "rad/s/K", 1e-5, 1.0, "apparent rate per kelvin of the lag"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"p' += -kappa b {_BEHIND} J p",
+        ("thermal_bias", "thermal_damping_anisotropy_lag", "thermal_drive_gain_lag"),
+    ),
+    Effect(
         "thermal_drive_gain_lag", "Drive gains that follow the temperature late", "environment", (29, 30),
         (*pair("g_x g_y", "1/K", 2e-4, 0.05, "relative gain per kelvin of the lag"), _LAG),
         ("temperature", "time"), BOTH,
@@ -157,6 +171,13 @@ TIME = (
         ("time",), BOTH,
         "p' += -c t p",
         ("drive_gain_drift", "thermal_damping"),
+    ),
+    Effect(
+        "bias_drift", "Bias that drifts with time", "environment", (31, 38, 50),
+        (signed("b", "rad/s/s", 1e-7, 0.1, "apparent rate per second"),),
+        ("time",), BOTH,
+        "p' += -kappa b t J p",
+        ("thermal_bias", "damping_drift"),
     ),
     Effect(
         "split_drift", "Frequency split that drifts with time", "environment", (31,),

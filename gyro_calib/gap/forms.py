@@ -239,6 +239,11 @@ def _bent_damping(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return [Part("c", "flow", -_warm_squared(s)[:, None] * (_velocity(s, d) @ (np.eye(2) + unequal)))]
 
 
+def _as_rate(parameter: str, s: Signals, d: Linear, rate_rad_s: FloatArray) -> list[Part]:
+    """What turns the wave as an input does."""
+    return [Part(parameter, "flow", -d.angular_gain * rate_rad_s[:, None] * turned(motion(s, d)))]
+
+
 def _warm(s: Signals) -> FloatArray:
     return s.temperature_k
 
@@ -359,6 +364,7 @@ FORMS: dict[str, Form] = {
     "thermal_damping_curvature": Form(_bent_damping),
     "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
     "thermal_frequency_curvature": _stiffness("k", _warm_squared),
+    "thermal_bias": Form(lambda s, d, g: _as_rate("b", s, d, _warm(s))),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 17)),
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
@@ -369,12 +375,14 @@ FORMS: dict[str, Form] = {
     "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
     "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * _velocity(s, d))], _WARM_UP),
     "thermal_damping_anisotropy_lag": Form(lambda s, d, g: _anisotropy("c", behind(s, g["tau"]) * _velocity(s, d), -1.0), _WARM_UP),
+    "thermal_bias_lag": Form(lambda s, d, g: _as_rate("b", s, d, behind(s, g["tau"])[:, 0].real), _WARM_UP),
     "thermal_split_lag": Form(_gradient, _WARM_UP),
     "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", behind(s, g["tau"]) * s.drive), _WARM_UP),
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
     "thermal_feedthrough": Form(_fed_by_warmth),
     "frequency_ageing": _stiffness("k", _late),
     "damping_drift": _damping("c", _late),
+    "bias_drift": Form(lambda s, d, g: _as_rate("b", s, d, _late(s))),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
     "drive_gain_drift": _scaled_drive("drive", "g", _late, 1.0),
@@ -383,9 +391,7 @@ FORMS: dict[str, Form] = {
     "pickoff_phase_drift": _read_by_axis("g", lambda s, v: 1j * _late(s)[:, None] * v),
     "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),
     "rate_dependent_damping": _damping("c", _rate),
-    "angular_gain_error": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * s.rate_rad_s[:, None] * turned(motion(s, d)))]),
-    "rate_nonlinearity": Form(
-        lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s * np.abs(s.rate_rad_s))[:, None] * turned(motion(s, d)))]
-    ),
-    "rate_asymmetry": Form(lambda s, d, g: [Part("e", "flow", -d.angular_gain * (s.rate_rad_s**2)[:, None] * turned(motion(s, d)))]),
+    "angular_gain_error": Form(lambda s, d, g: _as_rate("e", s, d, s.rate_rad_s)),
+    "rate_nonlinearity": Form(lambda s, d, g: _as_rate("e", s, d, s.rate_rad_s * np.abs(s.rate_rad_s))),
+    "rate_asymmetry": Form(lambda s, d, g: _as_rate("e", s, d, s.rate_rad_s**2)),
 }

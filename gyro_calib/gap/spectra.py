@@ -25,8 +25,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: bins on which the floor's median is taken, to both sides; its ratio to the mean of an exponential distribution
 _FLOOR_BINS, _MEDIAN = 30, float(np.log(2.0))
-#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal: the floor of healthy devices is flat from
-#: the seventh bin on
+#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal: floors are flat from the seventh on
 _LEAST_BINS, _HARMONICS = 10.0, 16.0
 #: bins from a tone within which an open drive shares its signal
 _NEAR_BINS = 30.0

@@ -60,15 +60,17 @@ _COURSE_MARGIN = 10.0
 CHANGES = (
     {"split_drift", "charge_accumulation", "thermal_split", "thermal_split_lag"},
     {"damping_drift", "thermal_damping", "thermal_damping_curvature", "thermal_damping_lag", "thermal_damping_anisotropy_lag"},
-    {"frequency_ageing", "thermal_frequency_curvature", "thermal_lag"},
     {"drive_gain_drift", "thermal_drive_gain", "thermal_drive_gain_curvature", "thermal_drive_gain_lag"},
     {"pickoff_gain_drift", "thermal_pickoff_gain", "thermal_pickoff_gain_curvature", "thermal_pickoff_gain_lag"},
+    {"frequency_ageing", "thermal_frequency_curvature", "thermal_lag"},
+    {"bias_drift", "thermal_bias", "thermal_bias_lag"},
     {"drive_nonlinearity", "drive_amplitude_phase", "drive_sag", "drive_saturation", "drive_dead_zone", "drive_memory", "pickoff_memory"},
     {
         "thermal_lag",
         "thermal_damping_lag",
         "thermal_damping_anisotropy_lag",
         "thermal_split_lag",
+        "thermal_bias_lag",
         "thermal_drive_gain_lag",
         "thermal_pickoff_gain_lag",
     },

@@ -22,7 +22,7 @@ SLOW_EFFECTS = frozenset(
         "thermal_damping", "thermal_damping_curvature", "thermal_damping_anisotropy",
         "thermal_frequency_curvature", "thermal_split", "thermal_lag",
         "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
-        "thermal_drive_gain_lag", "thermal_pickoff_gain_lag",
+        "thermal_drive_gain_lag", "thermal_pickoff_gain_lag", "thermal_bias", "thermal_bias_lag", "bias_drift",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
         "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
@@ -113,7 +113,9 @@ class SlowEffects:
         unequal = self._pair("thermal_damping_anisotropy", "c_c", "c_s", rise) + self._pair(late, "c_c", "c_s", self._behind(late, rise))
         excess = self._size("angular_gain_error", "e") + self._size("rate_nonlinearity", "e") * np.abs(rate)
         excess = excess + self._size("rate_asymmetry", "e") * rate
-        turn = excess * self._device.resonator.angular_gain * rate
+        bias = self._size("thermal_bias", "b") * rise + self._size("bias_drift", "b") * t
+        bias = bias + self._size("thermal_bias_lag", "b") * self._behind("thermal_bias_lag", rise)
+        turn = self._device.resonator.angular_gain * (excess * rate + bias)
         damping = self._device.resonator.damping_matrix()
         bent = self._size("thermal_damping_curvature", "c") * np.multiply.outer(rise**2, 2.0 * damping / np.trace(damping))
         return np.asarray(_symmetric(same, unequal) + bent + turn[:, None, None] * J)

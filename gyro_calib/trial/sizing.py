@@ -39,6 +39,7 @@ _WITH_TIMES = (
     "thermal_damping_lag",
     "thermal_damping_anisotropy_lag",
     "thermal_split_lag",
+    "thermal_bias_lag",
     "thermal_drive_gain_lag",
     "thermal_pickoff_gain_lag",
 )
