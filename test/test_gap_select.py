@@ -11,9 +11,9 @@ import pytest
 
 from gyro_calib.gap import strangers
 from gyro_calib.gap.anonymous import Anonymous
+from gyro_calib.gap.counting import enough, needs_more
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screened
-from gyro_calib.gap.select import _enough
 
 LOUD = 2.5e7
 
@@ -35,12 +35,27 @@ def screened(name: str, gain: float) -> Screened:
     ],
 )
 def test_what_first_order_leaves_keeps_to_no_time(name: str, share: float, beside: str, counts: bool) -> None:
-    assert _enough(screened(name, share * LOUD), screened(beside, LOUD)) is counts
+    assert enough(screened(name, share * LOUD), screened(beside, LOUD)) is counts
+
+
+@pytest.mark.parametrize(
+    ("name", "gain", "chi2", "counts"),
+    [
+        # a scale factor of one sense of rotation beside a damping of thousands of standard deviations
+        ("rate_asymmetry", 158.0, 1600.0, True),
+        ("thermal_bias", 158.0, 1600.0, True),
+        ("pickoff_nonlinearity", 158.0, 1600.0, False),
+        # a centrifugal stiffness of 960 where a charge of 7487 was missing
+        ("centrifugal_stiffness", 960.0, 8348.0, False),
+    ],
+)
+def test_what_moves_with_something_else_counts_by_all_that_is_left(name: str, gain: float, chi2: float, counts: bool) -> None:
+    assert enough(screened(name, gain), screened("nonlinear_damping", LOUD), needs_more(chi2, 1395)) is counts
 
 
 def test_alone_an_effect_counts_by_its_evidence() -> None:
-    assert _enough(screened("duffing", 40.0))
-    assert not _enough(screened("duffing", 20.0))
+    assert enough(screened("duffing", 40.0))
+    assert not enough(screened("duffing", 20.0))
 
 
 SAID = {

@@ -15,6 +15,7 @@ import numpy as np
 from ..effects import EFFECTS
 from .at_rest import seen_at_rest
 from .candidates import candidate_at, registry_name
+from .counting import enough, needs_more, stands
 from .exact_levels import best_exact_level
 from .floors import beat_their_floors
 from .model import CampaignModel
@@ -29,7 +30,6 @@ from .strangers import (
     LEFT_SHARE,
     LEFT_SIGMA,
     MARGIN,
-    SECOND_ORDER,
     Stranger,
     bank_terms,
     own_directions,
@@ -62,8 +62,6 @@ _PAIRED = 8
 _SHARES, _ROUGH_SHARES, _SHARE_SD = (0.6, 1.7), (0.4, 2.5), 0.25
 #: a lag of the thermometer that is long against a ramp [s]
 _BENDING_LAG_S = 0.5
-#: of what first order leaves of an effect, the share that goes with the time of a campaign
-_OUT_OF_TIME = 0.1
 #: log evidence that an effect may gain between two settings of its grid
 _BETWEEN = 6.0
 #: a level that is tried as what it is must leave this much less than what was selected
@@ -131,26 +129,13 @@ def best_of_each(screener: Screener, pool: Mapping[str, Sequence[Candidate]]) ->
     return sorted(best.values(), key=lambda s: -s.log_evidence)
 
 
-def _enough(found: Screened, largest: Screened | None = None) -> bool:
-    """Whether an effect counts beside the loudest: what the first order of averaging leaves of that one is no effect."""
-    left = 0.0 if largest is None else SECOND_ORDER * largest.gain
-    # of what keeps to no time little of that goes with the campaign's, whose experiments are in a drawn order
-    left *= _OUT_OF_TIME if largest is not None and is_of_time(found.name) > is_of_time(largest.name) else 1.0
-    return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, left)
-
-
-def _stands(found: Screened, louder: float) -> bool:
-    """Whether an effect counts where all recordings hold so much more power than the noise: that noise was measured too low."""
-    return louder <= 1.0 or found.log_evidence - 0.5 * found.gain * (1.0 - 1.0 / louder) > MARGIN
-
-
 def select_effects(model: CampaignModel) -> Selection:
     """Select, name what cannot be told apart, and say whether something unnamed is there."""
     first = _ranked(model, ())
     chosen: list[Candidate] = []
-    ranked = first if not first or _enough(first[0]) else _between_settings(model, first)
+    ranked = first if not first or enough(first[0]) else _between_settings(model, first)
     largest = ranked[0] if ranked else None
-    while (counting := [s for s in ranked if _enough(s, largest)]) and len(chosen) < _MOST_EFFECTS:
+    while (counting := [s for s in ranked if enough(s, largest, _rest(model, chosen))]) and len(chosen) < _MOST_EFFECTS:
         chosen.append(_best_refined(model, chosen, ranked if counting[0] is ranked[0] else counting))
         # about the device that holds it: what its first order leaves would pass for the next effect
         chosen = relinearised(model, chosen)
@@ -220,14 +205,14 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: Screened | 
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [
-            _enough(e, largest if len(effects) > 1 else None)
+            enough(e, largest if len(effects) > 1 else None, needs_more(left.chi2, left.dof))
             and seen_at_rest(model, effects, e)
             and told_by_several(model, e, [o.candidate for o in effects if o is not e])
             for e in effects
         ]
         if not beat_their_floors(model, effects):
             needed = [need and not is_of_time(e.name) for e, need in zip(effects, needed, strict=True)]
-        doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and _stands(e, louder))]
+        doubtful = [e for e, need in zip(effects, needed, strict=True) if not (need and physical(e, rough=False) and stands(e, louder))]
         if not doubtful:
             return chosen, effects
         least = min(doubtful, key=lambda e: e.log_evidence)
@@ -341,6 +326,11 @@ def _worth_at_its_level(found: Screened) -> float:
     return found.log_evidence - 0.5 * ((share - 1.0) / _SHARE_SD) ** 2
 
 
+def _rest(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
+    screener = model.screener_with(chosen)
+    return needs_more(screener.chi2, screener.dof)
+
+
 def _without(chosen: Sequence[Candidate], k: int) -> list[Candidate]:
     return [c for j, c in enumerate(chosen) if j != k]
 
@@ -354,7 +344,7 @@ def _improved(model: CampaignModel, chosen: list[Candidate], largest: Screened |
                 break
             others = _without(chosen, k)
             ranked = _ranked(model, others)
-            if not ranked or not _enough(ranked[0], largest):
+            if not ranked or not enough(ranked[0], largest, _rest(model, others)):
                 chosen = others
                 continue
             mine = model.screener_with(others).screen(chosen[k])
