@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,8 +15,9 @@ from gyro_calib.gap.coarse_drive import NAME, _form, rounded, with_coarse_drive
 from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.select import select_effects
+from gyro_calib.gap.signals import Signals
 from gyro_calib.gap.spectral_effects import SpectralEffects, found_beside, spectral_effects
-from gyro_calib.gap.unseen_steps import with_unseen_steps
+from gyro_calib.gap.unseen_steps import _held_v, _sizes, with_unseen_steps
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.recording import Recording
 from gyro_calib.trial.injected import with_columns
@@ -115,3 +118,11 @@ def test_steps_that_no_sample_shows_are_found_by_their_size_alone() -> None:
     loud = replace(selection, chi2_before=selection.chi2_before + 2.0 * found.effects[0].gain)
     assert with_unseen_steps(beside, coarse, loud, ()) == beside
     assert with_unseen_steps(beside, model(), selection, ()) == beside
+
+
+def test_a_drive_that_swings_sets_no_size_of_steps() -> None:
+    """A virtual precession of three volts hid steps of 20 mV: a fortieth of its own was the least that was looked for."""
+    swinging = 3.0 * np.cos(np.linspace(0.0, 20.0, 1000))
+    held = SimpleNamespace(drive=np.stack([np.full(1000, 0.8j), swinging], axis=1))
+    assert _held_v(cast(Signals, held)) == pytest.approx(0.8)
+    assert min(_sizes(0.8)) < 0.0196 < max(_sizes(0.8))

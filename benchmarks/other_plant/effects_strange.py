@@ -82,6 +82,7 @@ STRANGE = (
         form.gradient_rate,
         form.lasting(0.3, 1.5),
         lambda u: 1e-5,
+        "thermal_bias_lag",
         needs=THERMAL,
     ),
     Effect(

@@ -46,11 +46,12 @@ def is_right(label: Json, answer: Json) -> bool:
     verdict, named = answer["verdict"], answer.get("effects", [])
     if label["stratum"] == "healthy":
         return bool(verdict == "none")
-    if label["stratum"] == "stranger":
+    # of some strangers the registry has a name since
+    if label["stratum"] == "stranger" and not label["effects"][0]["registry"]:
         return bool(verdict == "unknown")
     if verdict != "effects" or not named:
         return False
-    if label["stratum"] == "single":
+    if label["stratum"] != "pair":
         return bool(_truth(label["effects"][0]) & _names(named[0]))
     if len(named) != len(label["effects"]):
         return False

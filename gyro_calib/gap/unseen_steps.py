@@ -26,13 +26,15 @@ __all__ = ["with_unseen_steps"]
 
 FloatArray = NDArray[np.float64]
 #: steps over the largest drive that holds a wave: fewer are a dead zone, of more the grid would be too fine
-_MOST, _LEAST = 1.0 / 3.0, 1.0 / 40.0
+_MOST, _LEAST = 1.0 / 3.0, 1.0 / 60.0
 #: phase 2 pi A/q of the series from one size to the next [rad]; noise beside the drive at which sizes are looked for, then tried [steps]
 _PHASE, _LOOKED, _NOISE = 0.5, 0.15, (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4)
 #: places of the series' table over a step, and how many steps it holds
-_PER_STEP, _STEPS = 250, 64
+_PER_STEP, _STEPS = 120, 200
 #: sizes about the best: how many, how far, over it, and how much nearer in a second round
 _TRIED, _WIDEST, _NARROWED = 9, 0.02, 0.2
+#: scatter of a drive over its mean up to which it stays
+_STAYS = 0.2
 #: what the noise that is not known does to a size, sd over it: 13.55 mV came out as 13.49 at one and as 13.54 at another
 _SD = 3e-3
 
@@ -60,7 +62,7 @@ def with_unseen_steps(beside: SpectralEffects, model: CampaignModel, selection: 
 
 def _found(model: CampaignModel, said: float) -> tuple[Screened, float] | None:
     """The likeliest size and its sd [V], if what it does is as large as steps make it at some noise; ``said``: chi-square to beat."""
-    largest_v = max((float(np.abs(r.signals.drive).max()) for r in model.evidence if r.is_wave), default=0.0)
+    largest_v = max((_held_v(r.signals) for r in model.evidence if r.is_wave), default=0.0)
     if largest_v <= 0.0:
         return None
     sizes = _sizes(largest_v)
@@ -78,6 +80,12 @@ def _found(model: CampaignModel, said: float) -> tuple[Screened, float] | None:
         return None
     shares = [_share(s) for noise in _NOISE for s in _screened(model, [size], _table(noise), tried)]
     return (best, size * math.hypot(_SD, _sd(found, best))) if any(SHARE[0] < share < SHARE[1] for share in shares) else None
+
+
+def _held_v(s: Signals) -> float:
+    """The larger drive of those that stay as large throughout; one that swings passes all its steps, whatever their size."""
+    size = np.abs(s.drive)
+    return float(np.max(np.where(size.std(axis=0) < _STAYS * size.mean(axis=0), size.max(axis=0), 0.0)))
 
 
 def _sd(found: Sequence[Screened], best: Screened) -> float:
@@ -113,7 +121,7 @@ def _table(noise_steps: float) -> FloatArray:
 def _form(table: FloatArray) -> Form:
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         step_v, size = setting["step"], s.once("size of drives", None, lambda: np.abs(s.drive))
-        error = step_v * np.interp(_PER_STEP / step_v * size, np.arange(table.size), table) / np.maximum(size, math.ulp(1.0))
+        error = step_v * np.interp(_PER_STEP / step_v * size, np.arange(table.size), table, right=0.0) / np.maximum(size, math.ulp(1.0))
         return [Part("share", "drive", np.asarray(error * s.drive))]
 
     return Form(parts)
