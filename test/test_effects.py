@@ -201,6 +201,7 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_pickoff_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.reading(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.p)),
     "thermal_feedthrough": ({"e_x": 2e-3, "e_y": 3e-3}, lambda r: r.reading(WARM_K * by_axis(r, "e_x", "e_y") * r.u)),
     "frequency_ageing": ({"k": 0.1}, lambda r: 1j * r.size["k"] * r.t[:, None] * r.p),
+    "clock_drift": ({"e": 1e-6}, lambda r: -2j * math.pi * 15003.7 * r.size["e"] * r.t[:, None] * r.p),
     "damping_drift": ({"c": 0.1}, lambda r: -r.size["c"] * r.t[:, None] * r.p),
     "split_drift": ({"k_c": 0.1, "k_s": 0.05}, lambda r: 1j * r.t[:, None] * (r.p @ split(r, "k_c", "k_s"))),
     "charge_accumulation": (

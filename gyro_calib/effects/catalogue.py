@@ -14,10 +14,13 @@ from .effect import Effect
 from .environment import ENVIRONMENT
 from .pickoff import PICKOFF
 
-__all__ = ["EFFECTS", "checked_sizes", "effect_named"]
+__all__ = ["EFFECTS", "INSEPARABLE", "checked_sizes", "effect_named"]
 
 #: every effect by name
 EFFECTS: Mapping[str, Effect] = MappingProxyType({e.name: e for e in (*DYNAMICS, *DRIVE, *PICKOFF, *ENVIRONMENT)})
+
+#: what no recording of a device tells apart: a resonator that ages against a good clock, and a clock that drifts beside a good resonator
+INSEPARABLE: Mapping[str, tuple[str, ...]] = MappingProxyType({"frequency_ageing": ("clock_drift",)})
 
 
 def effect_named(name: str) -> Effect:

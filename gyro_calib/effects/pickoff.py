@@ -120,6 +120,13 @@ PICKOFF = (
         ("mains_pickup",),
     ),
     Effect(
+        "clock_drift", "Clock of the device that goes ever faster or slower", "electronics", (48,),
+        (signed("e", "1/s", 1e-9, 1e-4, "relative frequency of the clock per second"),),
+        ("time",), BOTH,
+        "p' += -i omega e t p: all frequencies are told in its own; of rates and damping it is the share e t, below any noise",
+        ("frequency_ageing",),
+    ),
+    Effect(
         "mains_pickup", "Hum of the mains on the pick-offs, about the carrier", "electronics", (46,),
         (
             positive("frequency_hz", "Hz", 50.0, 1000.0, "frequency of the hum", lower=0.1),

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects import EFFECTS
+from ..effects import EFFECTS, INSEPARABLE
 from ..errors import DataError
 from ..quantity import Quantity
 from ..recording.recording import Campaign
@@ -158,7 +158,7 @@ def _found(model: CampaignModel, selection: Selection, k: int, rich: Solution) -
     return FoundEffect(
         name=e.name,
         title=EFFECTS[e.name].title,
-        group=selection.groups[k],
+        group=(*selection.groups[k], *(other for member in selection.groups[k] for other in INSEPARABLE.get(member, ()))),
         probability=selection.probabilities[k],
         parameters=told_sizes(model, selection.effects, k, rich),
         location=EFFECTS[name].location,

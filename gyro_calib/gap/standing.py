@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ..effects import EFFECTS
+from ..effects import EFFECTS, INSEPARABLE
 from ..quantity import Quantity
 from .candidates import registry_name
 from .diagnosis import Standing
@@ -46,8 +47,16 @@ def standings(model: CampaignModel, selection: Selection, without: Sequence[str]
         elif name in alike:
             status, limit = f"like {alike[name]}", None
         out.append(Standing(name, effect.title, effect.location, status, limit, found.log_evidence, found.gain, found.absorbed))
+    out += [_like(s, other) for s in out for other in INSEPARABLE.get(s.name, ()) if other not in without]
     rank = {"present": 0, "like": 1}
     return tuple(sorted(out, key=lambda s: (rank.get(s.status.split()[0], 2), -s.log_evidence)))
+
+
+def _like(known: Standing, other: str) -> Standing:
+    """The line of an effect that no recording tells from a known one."""
+    effect = EFFECTS[other]
+    status = f"like {known.name}" if known.status == "present" else known.status
+    return replace(known, name=other, title=effect.title, location=effect.location, status=status, excluded_above=None)
 
 
 def _best(model: CampaignModel, screener, name: str) -> Screened | None:  # type: ignore[no-untyped-def]

@@ -25,7 +25,7 @@ SLOW_EFFECTS = frozenset(
         "thermal_drive_gain_lag", "thermal_pickoff_gain_lag", "thermal_bias", "thermal_bias_lag", "bias_drift",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
-        "frequency_ageing", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
+        "frequency_ageing", "clock_drift", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
         "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "centrifugal_stiffness_axes", "rate_dependent_damping",
         "angular_gain_error", "rate_nonlinearity", "rate_asymmetry",
     )
@@ -102,6 +102,7 @@ class SlowEffects:
         by_axis = self._pair("centrifugal_stiffness_axes", "k_x", "k_y", rate**2)
         same, split = same + by_axis.mean(axis=1), split + np.outer(by_axis @ [0.5, -0.5], [1.0, 0.0])
         r = self._device.resonator
+        same = same - r.omega0_rad_s * self._size("clock_drift", "e") * t
         same = same - r.frequency_tempco_per_k * r.omega0_rad_s * self._behind("thermal_lag", rise)
         return _symmetric(same, split)
 
