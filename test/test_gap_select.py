@@ -11,8 +11,10 @@ import pytest
 
 from gyro_calib.gap import strangers
 from gyro_calib.gap.anonymous import Anonymous
+from gyro_calib.gap.column import Column
 from gyro_calib.gap.counting import enough, needs_more
 from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.saturated import _with_room
 from gyro_calib.gap.screen import Candidate, Screened
 
 LOUD = 2.5e7
@@ -56,6 +58,19 @@ def test_what_moves_with_something_else_counts_by_all_that_is_left(name: str, ga
 def test_alone_an_effect_counts_by_its_evidence() -> None:
     assert enough(screened("duffing", 40.0))
     assert not enough(screened("duffing", 20.0))
+
+
+def columns(name: str, count: int) -> Candidate:
+    made = tuple(Column(f"{k}", (np.ones(3),), (np.ones(3),)) for k in range(count))
+    return Candidate(name, {}, made, np.ones(count))
+
+
+def test_what_may_be_there_is_held_before_what_hardly_is() -> None:
+    """Where there are no equations for all; one effect more in the registry left no room for a hot feedthrough, which then was noise."""
+    named = [columns("duffing", 2), columns("thermal_bias", 1), columns("rate_asymmetry", 1)]
+    assert [c.name for c in _with_room(named, {"rate_asymmetry"}, 4)] == ["duffing", "thermal_bias", "rate_asymmetry"]
+    assert [c.name for c in _with_room(named, {"rate_asymmetry"}, 3)] == ["duffing", "rate_asymmetry"]
+    assert [c.name for c in _with_room(named, {"rate_asymmetry"}, 0)] == ["rate_asymmetry"]
 
 
 SAID = {

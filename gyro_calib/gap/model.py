@@ -239,7 +239,8 @@ def _weighed(
     unnamed = [*turned, *strange, *straight]
     plainly = Screener(Whitener.of(evidence, plain.noise), nuisances, target_of(evidence, angular_gain))
     # what lags behind the temperature shows in two or three records, which drifts of their own follow as well
-    shown = counting(plainly, unnamed, first=[c.name for a, c in bank if a.form.startswith(LATE)])
+    asked = [*unnamed, *(c for tried in candidates.values() for c in tried)]
+    shown = counting(plainly, asked, first=[c.name for a, c in bank if a.form.startswith(LATE)])
     allowed = [*saturated_columns(evidence, linear, held, candidates, unnamed, shown), *effect_columns(strangers)]
     of_rate = [*held, *effect_columns([*turned, *(candidates[n][0] for n in candidates if "rate" in EFFECTS[n].needs)])]
     noise, excess = measured_noise(evidence, allowed, of_rate, angular_gain, plain)
@@ -262,7 +263,7 @@ def _weighed(
     there = counting(screener, [*(c for tried in candidates.values() for c in tried), *turned, *strange])
     named = {name: tried for name, tried in candidates.items() if name in there}
     unnamed = [c for c in [*turned, *strange] if c.name in there]
-    lean = saturated_columns(evidence, linear, sized, named, unnamed, [name for name in there if name not in named])
+    lean = saturated_columns(evidence, linear, sized, named, unnamed, there)
     noise = remeasured(evidence, [*lean, *going], noise, excess, angular_gain)
     return Whitener.of(evidence, noise, excess), noise, excess, sized
 

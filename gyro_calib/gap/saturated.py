@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -111,7 +111,7 @@ def saturated_columns(
         Effects by name.
     unnamed : sequence of Candidate
     shown : sequence of str
-        Names of those of them that are held, as far as there is room, where there are no equations for all.
+        Names of effects and of unnamed terms that may be there, the likeliest first: what is held where there are no equations for all.
     """
     told = {name: tried for name, tried in candidates.items() if _TWIN.get(name) not in candidates}
     chosen = [_not_gross(evidence, linear, c) for tried in told.values() for c in _some(tried)]
@@ -120,17 +120,28 @@ def saturated_columns(
         chosen = [c for c in chosen if c.name not in _FAST]
     # few recordings have no equations for all of that: it would explain their noise
     room = int(_SATURATION * sum(2 * r.signal.lhs.size for r in evidence)) - len(nuisances)
-    named = next((held for kept in (chosen, _fewest(chosen)) if len(held := _columns(kept)) <= room), None)
-    if named is None:
+    kept = next((held for held in (chosen, _fewest(chosen)) if len(_columns(held)) <= room), None)
+    if kept is None:
         return list(nuisances)
     # both phases of a term have one name
     small: dict[str, list[Column]] = {}
     for c in unnamed:
         small.setdefault(c.name, []).extend(_columns([_small(evidence, linear, c)]))
-    room -= len(named)
-    if sum(len(columns) for columns in small.values()) > room:
-        small = {name: small[name] for name in _that_fit(shown, small, room)}
-    return [*nuisances, *named, *(c for columns in small.values() for c in columns)]
+    if sum(len(columns) for columns in small.values()) > room - len(_columns(kept)):
+        kept = _with_room(kept, shown, room - sum(len(small[name]) for name in shown if name in small))
+        small = {name: small[name] for name in _that_fit([n for n in shown if n in small], small, room - len(_columns(kept)))}
+    return [*nuisances, *_columns(kept), *(c for columns in small.values() for c in columns)]
+
+
+def _with_room(named: Sequence[Candidate], shown: Collection[str], room: int) -> list[Candidate]:
+    """Effects, less those that hardly are there (of which the noise has little to fear) as far as those that may be need the room."""
+    kept = list(named)
+    for candidate in reversed(named):
+        if len(_columns(kept)) <= room:
+            break
+        if candidate.name not in shown:
+            kept = [c for c in kept if c is not candidate]
+    return kept
 
 
 def _that_fit(names: Sequence[str], columns: Mapping[str, Sequence[Column]], room: int) -> list[str]:
