@@ -156,6 +156,13 @@ def test_damping_that_bends_is_what_its_law_of_temperature_leaves():
     np.testing.assert_allclose(rates, expected, atol=1e-6)
 
 
+def test_a_healthy_bias_that_follows_the_temperature_is_in_the_patched_device():
+    previous = load_device("ring_15k")
+    estimate = estimate_of(previous, turned=False, values={"thermal_drive_gain.g_x": 1e-4, "rate_per_k": 4e-5})
+    patched = patched_device(previous, diagnosis_of(estimate))
+    assert patched.effects["thermal_bias"]["b"] == pytest.approx(4e-5 / estimate.angular_gain)
+
+
 # -- the whole way ----------------------------------------------------------------------------------------------------------------------
 
 

@@ -42,10 +42,11 @@ _THERMAL = (
     "thermal_drive_phase",
     "thermal_pickoff_gain",
 )
-#: nuisances that are effects of a device file under another name, and their sign there
-_BENDS = {
+#: nuisances that are effects of a device file under another name, and their sign there (of a bias: as it is read, times kappa)
+_RENAMED = {
     "thermal_frequency_curvature": ("k", "frequency_per_k2", 1.0),
     "thermal_damping_curvature": ("c", "damping_per_k2", -1.0),
+    "thermal_bias": ("b", "rate_per_k", 1.0),
 }
 #: is there when the temperature moved enough to fit how the device follows it
 _WARMED = "thermal_drive_gain.g_x"
@@ -145,7 +146,7 @@ def patch_notes(device: Device, diagnosis: Diagnosis) -> tuple[str, ...]:
     ]
     if not np.any(device.feedthrough_matrix()) and np.any(estimate.E):
         notes.append("The electronics of this device let nothing feed through: the feedthrough that was estimated has no effect.")
-    kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, *_BENDS})
+    kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, *_RENAMED})
     if kept:
         notes.append(f"Kept from the previous file, because these recordings cannot test them: {', '.join(kept)}.")
     return tuple(notes)
@@ -324,10 +325,12 @@ def _effects(device: Device, diagnosis: Diagnosis, estimate: PatchedEstimate) ->
     for effect in diagnosis.effects:
         known = {p.name for p in EFFECTS[effect.registry_name].parameters}
         sizes[effect.registry_name] = {key: quantity.value for key, quantity in effect.parameters.items() if key in known}
-    for name, (parameter, nuisance, sign) in _BENDS.items():
+    for name, (parameter, nuisance, sign) in _RENAMED.items():
         if nuisance in estimate.values:
             found = sizes[name][parameter] if name in {e.registry_name for e in diagnosis.effects} else 0.0
-            sizes[name] = {parameter: found + sign * estimate.values[nuisance] - (_bend_of_law(estimate) if parameter == "c" else 0.0)}
+            share = sign * estimate.values[nuisance]
+            share = share / estimate.angular_gain if parameter == "b" else share - (_bend_of_law(estimate) if parameter == "c" else 0.0)
+            sizes[name] = {parameter: found + share}
     return {name: _within(name, values) for name, values in sizes.items()}
 
 
