@@ -25,6 +25,8 @@ _COUNTS = 5.0
 _SURE = 50.0
 #: columns over equations, at most
 _SATURATION = 0.5
+#: share of the room that effects keep if unnamed terms need more than they leave: beside a loud effect nearly all of those may be there
+_NAMED = 0.75
 #: how much of a drive or of a reading a limiter or a dead zone may take, sd
 _TAKEN = 0.03
 #: size of an unnamed term over what the drives do, sd
@@ -128,7 +130,8 @@ def saturated_columns(
     for c in unnamed:
         small.setdefault(c.name, []).extend(_columns([_small(evidence, linear, c)]))
     if sum(len(columns) for columns in small.values()) > room - len(_columns(kept)):
-        kept = _with_room(kept, shown, room - sum(len(small[name]) for name in shown if name in small))
+        needed = sum(len(small[name]) for name in shown if name in small)
+        kept = _with_room(kept, shown, max(room - needed, int(_NAMED * room)))
         small = {name: small[name] for name in _that_fit([n for n in shown if n in small], small, room - len(_columns(kept)))}
     return [*nuisances, *_columns(kept), *(c for columns in small.values() for c in columns)]
 
@@ -136,7 +139,7 @@ def saturated_columns(
 def _with_room(named: Sequence[Candidate], shown: Collection[str], room: int) -> list[Candidate]:
     """Effects, less those that hardly are there (of which the noise has little to fear) as far as those that may be need the room."""
     kept = list(named)
-    for candidate in reversed(named):
+    for candidate in sorted(reversed(named), key=lambda c: is_of_time(c.name)):
         if len(_columns(kept)) <= room:
             break
         if candidate.name not in shown:
