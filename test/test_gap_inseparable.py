@@ -24,6 +24,8 @@ def test_an_ageing_resonator_may_be_a_drifting_clock() -> None:
     found = _found(model, selection, 0, model.fitted([e.candidate for e in selection.effects]))
     assert found.group[0] == "frequency_ageing"
     assert "clock_drift" in found.group
+    rich = model.fitted([e.candidate for e in selection.effects])
+    assert "clock_drift" not in _found(model, selection, 0, rich, ("clock_drift",)).group
     lines = {s.name: s for s in standings(model, selection)}
     assert lines["clock_drift"].status == "like frequency_ageing"
     assert lines["clock_drift"].title == EFFECTS["clock_drift"].title

@@ -8,11 +8,11 @@ from ..effects import EFFECTS
 from .screen import Screened
 from .strangers import LEAST_GAIN, MARGIN, SECOND_ORDER
 
-__all__ = ["enough", "needs_more", "stands"]
+__all__ = ["beyond_complete", "enough", "stands"]
 
 #: of what first order leaves of an effect, the share that goes with what its own form knows nothing of: time, temperature, rate
 _OF_OTHERS = 0.1
-#: and of all that is left beside it: of static effects that were still missing such forms had 0.13 at most
+#: and of all that is left beside it: where another effect was still missing such forms had 0.13 at most
 _OF_THE_REST = 0.15
 #: chi-square over the degrees of freedom that a complete model leaves: noise is taken for larger than it is by as much as that
 _COMPLETE = 0.8
@@ -27,16 +27,17 @@ def enough(found: Screened, largest: Screened | None = None, rest: float = math.
     largest : Screened or None
         The loudest effect, if there is another.
     rest : float
-        Chi-square over the degrees of freedom beside what was found so far, from :func:`needs_more`.
+        Chi-square that is left beside what was found so far, from :func:`beyond_complete`.
     """
     left = 0.0 if largest is None else SECOND_ORDER * largest.gain
-    if largest is not None and _knows(found.name) - _knows(largest.name):
+    moved_by = _moved_by(found.name)
+    if largest is not None and moved_by and not moved_by & _moved_by(largest.name):
         # experiments are in a drawn order, and most of them cold and at rest: little of what is static is seen in what is not
         left = min(_OF_OTHERS * left, _OF_THE_REST * rest)
     return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, left)
 
 
-def needs_more(chi2: float, dof: int) -> float:
+def beyond_complete(chi2: float, dof: int) -> float:
     """Chi-square that effects leave beyond what a complete model would, at least 0."""
     return max(chi2 - _COMPLETE * dof, 0.0)
 
@@ -46,6 +47,6 @@ def stands(found: Screened, louder: float) -> bool:
     return louder <= 1.0 or found.log_evidence - 0.5 * found.gain * (1.0 - 1.0 / louder) > MARGIN
 
 
-def _knows(name: str) -> set[str]:
+def _moved_by(name: str) -> set[str]:
     """What moves an effect besides the motion itself."""
     return {"time", "temperature", "rate"} & set(EFFECTS[name].needs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -93,7 +93,7 @@ def diagnose(
     shrunk = shrinkage(model, chosen)
     report(0.93, "what else could be seen")
     lines = standings(model, selection, left_out)
-    effects = tuple(_found(model, selection, k, rich) for k in range(len(selection.effects)))
+    effects = tuple(_found(model, selection, k, rich, left_out) for k in range(len(selection.effects)))
     effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
     unknown = (
         _unknown(selection.stranger)
@@ -152,13 +152,14 @@ def _factory(campaign: Campaign, name: str) -> float:
     return float(value)
 
 
-def _found(model: CampaignModel, selection: Selection, k: int, rich: Solution) -> FoundEffect:
-    e = selection.effects[k]
+def _found(model: CampaignModel, selection: Selection, k: int, rich: Solution, left_out: Collection[str] = ()) -> FoundEffect:
+    e, group = selection.effects[k], selection.groups[k]
+    inseparable = [other for name in group for other in INSEPARABLE.get(name, ()) if other not in left_out]
     name = registry_name(e.name, e.candidate.setting)
     return FoundEffect(
         name=e.name,
         title=EFFECTS[e.name].title,
-        group=(*selection.groups[k], *(other for member in selection.groups[k] for other in INSEPARABLE.get(member, ()))),
+        group=(*group, *inseparable),
         probability=selection.probabilities[k],
         parameters=told_sizes(model, selection.effects, k, rich),
         location=EFFECTS[name].location,

@@ -42,12 +42,8 @@ _THERMAL = (
     "thermal_drive_phase",
     "thermal_pickoff_gain",
 )
-#: nuisances that are effects of a device file under another name, and their sign there (of a bias: as it is read, times kappa)
-_RENAMED = {
-    "thermal_frequency_curvature": ("k", "frequency_per_k2", 1.0),
-    "thermal_damping_curvature": ("c", "damping_per_k2", -1.0),
-    "thermal_bias": ("b", "rate_per_k", 1.0),
-}
+#: and what of that is a nuisance under another name
+_RENAMED = {"thermal_frequency_curvature": "frequency_per_k2", "thermal_damping_curvature": "damping_per_k2", "thermal_bias": "rate_per_k"}
 #: is there when the temperature moved enough to fit how the device follows it
 _WARMED = "thermal_drive_gain.g_x"
 #: coefficients of a device file that are effects of the registry under another name
@@ -325,13 +321,21 @@ def _effects(device: Device, diagnosis: Diagnosis, estimate: PatchedEstimate) ->
     for effect in diagnosis.effects:
         known = {p.name for p in EFFECTS[effect.registry_name].parameters}
         sizes[effect.registry_name] = {key: quantity.value for key, quantity in effect.parameters.items() if key in known}
-    for name, (parameter, nuisance, sign) in _RENAMED.items():
+    for name, nuisance in _RENAMED.items():
         if nuisance in estimate.values:
+            (parameter,) = (p.name for p in EFFECTS[name].parameters)
+            # an effect that was found besides has but its share
             found = sizes[name][parameter] if name in {e.registry_name for e in diagnosis.effects} else 0.0
-            share = sign * estimate.values[nuisance]
-            share = share / estimate.angular_gain if parameter == "b" else share - (_bend_of_law(estimate) if parameter == "c" else 0.0)
-            sizes[name] = {parameter: found + share}
+            sizes[name] = {parameter: found + _healthy(name, estimate)}
     return {name: _within(name, values) for name, values in sizes.items()}
+
+
+def _healthy(name: str, estimate: PatchedEstimate) -> float:
+    """Size of an effect of `_RENAMED` that is a nuisance of the fit, in the effect's unit."""
+    size = estimate.values[_RENAMED[name]]
+    if name == "thermal_damping_curvature":
+        return -size - _bend_of_law(estimate)
+    return size / estimate.angular_gain if name == "thermal_bias" else size
 
 
 def _bend_of_law(estimate: PatchedEstimate) -> float:

@@ -122,8 +122,8 @@ def saturated_columns(
         chosen = [c for c in chosen if c.name not in _FAST]
     # few recordings have no equations for all of that: it would explain their noise
     room = int(_SATURATION * sum(2 * r.signal.lhs.size for r in evidence)) - len(nuisances)
-    kept = next((held for held in (chosen, _fewest(chosen)) if len(_columns(held)) <= room), None)
-    if kept is None:
+    fits = (held for held in (chosen, _fewest(chosen)) if len(_columns(held)) <= room)
+    if (kept := next(fits, None)) is None:
         return list(nuisances)
     # both phases of a term have one name
     small: dict[str, list[Column]] = {}
@@ -138,13 +138,14 @@ def saturated_columns(
 
 def _with_room(named: Sequence[Candidate], shown: Collection[str], room: int) -> list[Candidate]:
     """Effects, less those that hardly are there (of which the noise has little to fear) as far as those that may be need the room."""
-    kept = list(named)
-    for candidate in sorted(reversed(named), key=lambda c: is_of_time(c.name)):
-        if len(_columns(kept)) <= room:
-            break
-        if candidate.name not in shown:
-            kept = [c for c in kept if c is not candidate]
-    return kept
+    hardly = [c for c in reversed(named) if c.name not in shown]
+    short, gone = len(_columns(named)) - room, []
+    # what drifts slowly is like those that need but time
+    for candidate in sorted(hardly, key=lambda c: is_of_time(c.name)):
+        if short > 0:
+            gone.append(candidate)
+            short -= len(_columns([candidate]))
+    return [c for c in named if not any(c is other for other in gone)]
 
 
 def _that_fit(names: Sequence[str], columns: Mapping[str, Sequence[Column]], room: int) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from ..effects import EFFECTS
 from .at_rest import seen_at_rest
 from .candidates import candidate_at, registry_name
-from .counting import enough, needs_more, stands
+from .counting import beyond_complete, enough, stands
 from .exact_levels import best_exact_level
 from .floors import beat_their_floors
 from .model import CampaignModel
@@ -135,7 +135,7 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen: list[Candidate] = []
     ranked = first if not first or enough(first[0]) else _between_settings(model, first)
     largest = ranked[0] if ranked else None
-    while (counting := [s for s in ranked if enough(s, largest, _rest(model, chosen))]) and len(chosen) < _MOST_EFFECTS:
+    while (counting := _counting(model, chosen, ranked, largest)) and len(chosen) < _MOST_EFFECTS:
         chosen.append(_best_refined(model, chosen, ranked if counting[0] is ranked[0] else counting))
         # about the device that holds it: what its first order leaves would pass for the next effect
         chosen = relinearised(model, chosen)
@@ -205,7 +205,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: Screened | 
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [
-            enough(e, largest if len(effects) > 1 else None, needs_more(left.chi2, left.dof))
+            enough(e, largest if len(effects) > 1 else None, beyond_complete(left.chi2, left.dof))
             and seen_at_rest(model, effects, e)
             and told_by_several(model, e, [o.candidate for o in effects if o is not e])
             for e in effects
@@ -326,9 +326,11 @@ def _worth_at_its_level(found: Screened) -> float:
     return found.log_evidence - 0.5 * ((share - 1.0) / _SHARE_SD) ** 2
 
 
-def _rest(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
+def _counting(model: CampaignModel, chosen: Sequence[Candidate], ranked: Sequence[Screened], largest: Screened | None) -> list[Screened]:
+    """Those that count beside what is chosen."""
     screener = model.screener_with(chosen)
-    return needs_more(screener.chi2, screener.dof)
+    rest = beyond_complete(screener.chi2, screener.dof)
+    return [s for s in ranked if enough(s, largest, rest)]
 
 
 def _without(chosen: Sequence[Candidate], k: int) -> list[Candidate]:
@@ -344,7 +346,7 @@ def _improved(model: CampaignModel, chosen: list[Candidate], largest: Screened |
                 break
             others = _without(chosen, k)
             ranked = _ranked(model, others)
-            if not ranked or not enough(ranked[0], largest, _rest(model, others)):
+            if not _counting(model, others, ranked[:1], largest):
                 chosen = others
                 continue
             mine = model.screener_with(others).screen(chosen[k])
