@@ -53,9 +53,9 @@ _LEAST_DAMPING = 0.5
 _DAMPING_PER_K2 = 3e-5
 #: drives that are late carrier and all, by some samples of the converters [s]
 _LAG_S = 3e-5
-#: an envelope later than its record, by the carrier's phase meanwhile [rad]: filters and holds are known to a tenth of a radian; of 31
-#: healthy devices of two other plants none lagged by three of its standard deviations
-_LAG_RAD = 0.1
+#: an envelope later than its record [s]: a sample of the converters, that firmware, filters and holds count or do not; of 31 healthy
+#: devices of two plants none lagged by 3e-6, and every ring of another led by one of its samples, 8.3e-6
+_LATE_S = 1e-5
 #: clock of the rows over that of the reference, of two crystals; and what a loop's command ripples with at twice the reference while the
 #: wave grows, which its rows do not hold and the drive does: of four rings of a plant 4e-6 to 7e-5 of the rate of change, at any phase
 _CLOCK = 3e-5
@@ -164,7 +164,7 @@ def _damping(evidence: CampaignEvidence, linear: Linear) -> float:
 def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """How a healthy device follows its temperature, and a record that is late."""
     columns: list[Column] = []
-    columns += _form(evidence, linear, "drive_lag", {"tau": _LAG_RAD / evidence.omega0_rad_s})
+    columns += _form(evidence, linear, "drive_lag", {"tau": _LATE_S})
     columns += _clock_columns(evidence, linear)
     columns += _blurred_records(evidence, linear)
     columns += _kicks(evidence, linear)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,15 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: bins on which the floor's median is taken, to both sides; its ratio to the mean of an exponential distribution
 _FLOOR_BINS, _MEDIAN = 30, float(np.log(2.0))
-#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal: floors are flat from the seventh on
-_LEAST_BINS, _HARMONICS = 10.0, 16.0
+#: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal; nearer by a main lobe there is a place
+#: to see the floor rise
+_LEAST_BINS, _HARMONICS = 12.0, 16.0
 #: bins from a tone within which an open drive shares its signal
 _NEAR_BINS = 30.0
 #: power of a Hann window whose side lobes fall below the floor within those bins: a turning wave of a volt stands beside nanovolts
 _POWER = 3
+#: half its main lobe
+_LOBE_BINS = 4
 _SHORTEST_S = 4.0
 #: power over the floor down to which the skirt of something nearer to the carrier is followed
 _SKIRT_POWER = 4.0
@@ -60,6 +63,8 @@ class PickSpectrum:
         Mean frequency of the reference.
     busy_hz : float
         Of the side band, or of the turning of the wave.
+    rise : ndarray, shape (n,)
+        Power over the local floor that a line must exceed, 1 at least: of a floor that rises towards the carrier.
     """
 
     recording: Recording
@@ -67,7 +72,8 @@ class PickSpectrum:
     ratio: FloatArray
     clear_hz: float
     carrier_hz: float
-    busy_hz: float = 0.0
+    busy_hz: float
+    rise: FloatArray
 
     @property
     def bin_hz(self) -> float:
@@ -75,9 +81,10 @@ class PickSpectrum:
         return 1.0 / self.recording.duration_s
 
     def at(self, away_hz: FloatArray) -> FloatArray:
-        """Power over the floor of both axes at the bins nearest to distances from the carrier, shape (m,) -> (m, 2)."""
+        """Power over the floor and its rise of both axes at the bins nearest to distances from the carrier, shape (m,) -> (m, 2)."""
         places = np.round(away_hz / self.bin_hz).astype(int) + self.frequency_hz.size // 2
-        return np.asarray(self.ratio[np.clip(places, 0, len(self.ratio) - 1)])
+        places = np.clip(places, 0, len(self.ratio) - 1)
+        return np.asarray(self.ratio[places] / self.rise[places, None])
 
     def hears(self, away_hz: FloatArray) -> NDArray[np.bool_]:
         """Whether a line there would be seen: beyond what belongs to the signal, within the rows' rate, and no image."""
@@ -118,7 +125,31 @@ def is_plain(r: Recording) -> bool:
 
 def pick_spectra(recordings: Sequence[Recording]) -> list[PickSpectrum]:
     """Spectra of the plain records."""
-    return [_spectrum(r) for r in plain_records(recordings)]
+    return _above_the_rise([_spectrum(r) for r in plain_records(recordings)])
+
+
+def _above_the_rise(spectra: list[PickSpectrum]) -> list[PickSpectrum]:
+    """Near the carrier a floor of slow gains rises faster than its median follows: a line stands above what both sides of it hold as well.
+
+    What the records of a campaign hold there on average, both axes and both sides of the carrier, nearer by just more than the window's
+    main lobe and as much farther.
+    """
+    if not spectra:
+        return spectra
+    step = min(s.bin_hz for s in spectra)
+    away = np.arange(0.0, 2.0 * _FLOOR_BINS * max(s.bin_hz for s in spectra), step)
+    # of a record only what lies outside its carrier's own main lobe and its signal's harmonics
+    heard = np.array([away > max((_LOBE_BINS + 0.5) * s.bin_hz, _HARMONICS * s.busy_hz) for s in spectra])
+    held = np.array([0.5 * (s.at(away) + s.at(-away)).mean(axis=1) for s in spectra])
+    mean = np.sum(heard * held, axis=0) / np.maximum(heard.sum(axis=0), 1)
+    return [replace(s, rise=_rise(np.abs(s.frequency_hz), s.bin_hz, away, mean)) for s in spectra]
+
+
+def _rise(away_hz: FloatArray, bin_hz: float, places_hz: FloatArray, mean: FloatArray) -> FloatArray:
+    """Power over the floor at these distances from the carrier as what is nearer and farther has it, 1 at least."""
+    lobe = (_LOBE_BINS + np.arange(3)) * bin_hz
+    nearer, farther = (np.mean([np.interp(away_hz + side * d, places_hz, mean) for d in lobe], axis=0) for side in (-1.0, 1.0))
+    return np.where(away_hz < _FLOOR_BINS * bin_hz, np.maximum(np.sqrt(nearer * farther), 1.0), 1.0)
 
 
 def near_line(recordings: Sequence[Recording], frequency_hz: float) -> tuple[int, ...]:
@@ -139,7 +170,7 @@ def _spectrum(r: Recording) -> PickSpectrum:
     clear = max(_LEAST_BINS / r.duration_s, _HARMONICS * busy)
     ratio = power / floor
     beyond = _beyond_skirt(ratio.max(axis=1), clear, 1.0 / r.duration_s)
-    return PickSpectrum(r, frequency, ratio, beyond, float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi), busy)
+    return PickSpectrum(r, frequency, ratio, beyond, float(r.ref_omega_rad_s.mean()) / (2.0 * np.pi), busy, np.ones(len(r)))
 
 
 def _beyond_skirt(ratio: FloatArray, clear_hz: float, bin_hz: float) -> float:

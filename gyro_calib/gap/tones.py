@@ -116,7 +116,7 @@ def _peaks(s: PickSpectrum) -> list[float]:
     found: list[float] = []
     for k in np.argsort(-power)[: 4 * _MOST_PEAKS]:
         f = float(s.frequency_hz[k])
-        if power[k] > _PEAK and all(abs(f - other) > 6.0 * s.bin_hz for other in found):
+        if power[k] > _PEAK * s.rise[k] and all(abs(f - other) > 6.0 * s.bin_hz for other in found):
             found.append(f)
     return found[:_MOST_PEAKS]
 
