@@ -187,6 +187,10 @@ def test_three_changes_of_one_property_are_one_of_another_kind() -> None:
     # one gradient made all three
     assert one_change_of_another_kind(found("thermal_drive_gain_lag", "thermal_damping_lag", "thermal_pickoff_gain_lag"))
     assert not one_change_of_another_kind(found("split_drift", "split_drift", "thermal_split"))
+    # a late damping is late along its axes as well
+    lags = ("thermal_split_lag", "thermal_damping_lag", "thermal_damping_anisotropy_lag")
+    assert not one_change_of_another_kind(found(*lags, last=50.0))
+    assert one_change_of_another_kind(found(*lags, "thermal_bias_lag", last=50.0))
     # of whatever kind, three that each take their share are one that is none of them; two are a pair
     assert one_change_of_another_kind(found("split_drift", "duffing", "damping_drift", last=10.0))
     assert not one_change_of_another_kind(found("split_drift", "duffing", last=50.0))

@@ -34,6 +34,35 @@ def model() -> CampaignModel:
     return look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
 
 
+def test_a_record_early_by_a_sample_of_the_converters_is_a_healthy_one() -> None:
+    """Every ring of an eleventh plant led by 8.3 us, and drives with a memory were found."""
+    m = model()
+    (lag,) = m.candidates["drive_lag"]
+
+    def gain(tau_s: float) -> float:
+        late = with_columns(m, [(lag.columns[0], tau_s)])
+        return max(
+            s.gain for s in late.screener.screened(c for n in ("drive_lag", "drive_memory", "pickoff_memory") for c in m.candidates[n])
+        )
+
+    before = gain(0.0)
+    assert gain(-8.3e-6) < before + 10.0
+    assert gain(-1e-4) > before + 60.0
+
+
+def test_a_feedthrough_that_follows_the_temperature_by_300_ppm_of_itself_is_a_healthy_one() -> None:
+    m = model()
+    (fed,) = m.candidates["thermal_feedthrough"]
+
+    def gain(e_per_k: float) -> float:
+        (found,) = with_columns(m, [(fed.columns[0], e_per_k)]).screener.screened([fed])
+        return found.gain
+
+    before = gain(0.0)
+    assert gain(3e-4 * abs(m.linear.E[0, 0])) < before + 5.0
+    assert gain(6e-3 * abs(m.linear.E[0, 0])) > before + 60.0
+
+
 def test_losses_that_keep_their_pattern_are_one_column() -> None:
     """Re A's unequal part as it is, which is what the two components of an anisotropy make at its size and direction."""
     m = model()
@@ -96,9 +125,9 @@ def test_the_temperature_of_a_healthy_unit_is_no_effect() -> None:
 
 
 def test_axes_of_one_design_part_by_tens_of_parts_per_million() -> None:
-    """Both gains alike are believed to be 3e-4/K, what one axis does by itself an eighth of it, and no phase more than 1.5e-5 rad/K."""
+    """Both gains alike are believed to be 3e-4/K, what one axis does by itself a quarter of it, and no phase more than 1.5e-5 rad/K."""
     sds = {c.name: c.prior_sd for c in following_columns(model().evidence, model().linear)}
-    assert sds["thermal_drive_gain.g_x"] <= 0.13 * sds["both_thermal_drive_gain"] * (1 + 1e-12)
+    assert sds["thermal_drive_gain.g_x"] <= 0.25 * sds["both_thermal_drive_gain"] * (1 + 1e-12)
     assert max(sds[f"thermal_{side}_phase.g_{axis}"] for side in ("drive", "pickoff") for axis in "xy") <= 1.5e-5
 
 

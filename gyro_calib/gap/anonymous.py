@@ -14,7 +14,7 @@ import numpy as np
 from .columns import forms_columns
 from .evidence import CampaignEvidence
 from .forms import FORMS
-from .monomials import APART, FED, LATE, MONOMIALS, RISING, Monomial, size_of
+from .monomials import APART, DIRECTED, FED, LATE, MONOMIALS, RISING, Monomial, size_of
 from .one_axis import heard
 from .parts import Form, Kind, Linear, Part, Setting, read_at_once
 from .screen import Candidate
@@ -64,7 +64,7 @@ _OF_DRIVE = (
 )
 _OF_MOTION = ("|p_j|^2 x_j, p the motion",)
 #: a bias that goes with the amplitude of a wave that turns: read or driven, it is one of the other axis; splits; what vibration warms
-_OF_FLOW = (HEATED[0], "|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split")
+_OF_FLOW = (HEATED[0], "|x|^2 x, crossed", "|x| x, as a split", "|x|^2 x, as a split", "x/|x|, as a split", DIRECTED)
 #: effects of a level, tried with any share of what lies beyond it: a knee that is soft; and of whose levels a loss or a stiffness may begin
 _KNEES: dict[str, Kind] = {"drive_saturation": "drive", "pickoff_saturation": "output"}
 _OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2
@@ -72,6 +72,7 @@ _OF_MOTIONS_LEVELS, _KNEE_STEP = "pickoff_saturation", 2
 
 #: of a wave that never turns the other axis holds noise alone, which such a term would explain
 _TURNING = (
+    DIRECTED,
     "|x_k|^2 x_j, k the other axis",
     "x_j/|x_j|",
     "|x_j| x_j",

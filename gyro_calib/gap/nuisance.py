@@ -6,6 +6,7 @@ only where it is larger than a healthy device has it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -43,12 +44,15 @@ _SPLIT_PER_K = 1e-3
 #: how the name of what both axes have alike begins
 _BOTH = "both_"
 BOTH_PICKOFFS, BOTH_DRIVES_LATE = f"{_BOTH}thermal_pickoff_gain", f"{_BOTH}drive_delay"
-#: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by tens of ppm/K
-_UNLIKE_PER_K = 0.13
+#: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by tens of ppm/K; drives
+#: of two plants by other hands by 60 and 120
+_UNLIKE_PER_K = 0.25
 #: damping that does not go as all of it does, over its anisotropy and over the damping [1/K]
 _OTHERWISE_PER_K, _OTHERWISE_OF_ALL_PER_K = 1e-3, 1e-6
 #: least damping of a device over the factory's
 _LEAST_DAMPING = 0.5
+#: of what feeds through, of itself [1/K]: strays by way of a board, whose permittivity moves by some 300 ppm/K
+_FED_PER_K = 3e-4
 #: relative curvature of the damping [1/K^2]
 _DAMPING_PER_K2 = 3e-5
 #: drives that are late carrier and all, by some samples of the converters [s]
@@ -65,6 +69,8 @@ _OF_STIFFNESS = 1e-5
 _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
 #: how late a temperature sensor is behind the resonator, and behind what warms elsewhere [s]
 _SENSOR_LAG_S, _GRADIENT_LAG_S = 0.1, 0.3
+#: share of a warmth by which what is read is not the resonator's: an eleventh plant's gradient moved its resonance by 0.08 % of it
+_ASTRAY = 5e-4
 #: modes in which a drive is switched within a recording, and over its median change a step
 SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
 #: rows of one step lie within that time [s]; more steps than this in a recording are noise
@@ -178,7 +184,20 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     columns += _blurred_temperature(evidence, linear)
     damping = _damping(evidence, linear)
     columns += collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], _DAMPING_PER_K2 * damping, real=True)
-    return columns + following_columns(evidence, linear)
+    return columns + _warm_feedthrough(evidence, linear) + following_columns(evidence, linear)
+
+
+def _warm_feedthrough(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
+    """Each element of the feedthrough follows the temperature by a share of itself, in phase and a quarter of a cycle off."""
+    by_recording = []
+    for r in evidence:
+        warm, drive = r.signals.temperature_k[:, None], r.signals.drive
+        parts = []
+        for j, k in np.ndindex(2, 2):
+            fed = abs(linear.E[j, k]) * warm * drive[:, [k]] * np.eye(2)[j]
+            parts += [Part(f"fed_per_k_{'xy'[j]}{'xy'[k]}{name}", "output", q * fed) for name, q in (("c", 1.0), ("s", 1j))]
+        by_recording.append(parts)
+    return [replace(c, prior_sd=_FED_PER_K) for c in part_columns(evidence, by_recording, linear)]
 
 
 def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
@@ -266,17 +285,21 @@ def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float
     return ageing + stray
 
 
-def wander_columns(evidence: CampaignEvidence, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
-    """Every recording's own distance of its resonance, and how it moved steadily meanwhile; of waves, and under an open drive."""
+def wander_columns(evidence: CampaignEvidence, wander_rad_s: float, open_drive_rad_s: float, slope_rad_s_k: float = 0.0) -> list[Column]:
+    """Every recording's own distance of its resonance, and how it moved steadily meanwhile; of waves, and under an open drive.
+
+    ``slope_rad_s_k``: of a warm device the thermometer, or the part of the resonator that it stands for, is off by a share of the warmth.
+    """
     columns = []
     for r in evidence:
+        astray = _ASTRAY * slope_rad_s_k * float(np.abs(r.signals.temperature_k).max())
         for k, name in enumerate(("shift", "slide")):
             columns.append(
                 Column(
                     f"{name}_{r.index}",
                     tuple(r.turn * 1j * o.signal.resonance[:, k] if o is r else np.zeros(o.signal.lhs.size, complex) for o in evidence),
                     tuple(r.turn * 1j * o.quiet.resonance[:, k] if o is r else np.zeros(o.quiet.lhs.size, complex) for o in evidence),
-                    wander_rad_s if r.is_wave else open_drive_rad_s,
+                    wander_rad_s if r.is_wave else math.hypot(open_drive_rad_s, astray if name == "shift" else 0.0),
                 )
             )
     return columns

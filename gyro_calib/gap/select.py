@@ -106,6 +106,9 @@ def physical(found: Screened, *, rough: bool = True) -> bool:
     for name, (value, sd) in found.sizes().items():
         if name in known and not known[name].lower - 3.0 * sd <= value <= known[name].upper + 3.0 * sd:
             return False
+    # a mode whose line covers the resonance is a memory
+    if abs(found.candidate.setting.get("separation_hz", np.inf)) < found.candidate.setting.get("half_width_hz", 0.0):
+        return False
     told = "level" in found.candidate.setting or found.name == "thermal_lag"
     if rough and found.candidate.setting.get("tau", 0.0) > _BENDING_LAG_S and found.name == "thermal_lag":
         # without it the frequency hardly seems to follow the temperature, and the share is of that

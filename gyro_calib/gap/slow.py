@@ -96,7 +96,7 @@ def _of_recordings(evidence: CampaignEvidence, column: Column, size: float, *, e
     columns = []
     for k, r in enumerate(evidence):
         faster = 2.0 * span_s / (_COSINES * r.recording.duration_s)
-        if (every or (r.is_wave and r.signal.turn_rad > math.pi)) and faster > 1.0:
+        if (every or (r.is_wave and r.is_turning)) and faster > 1.0:
             signal, quiet = (tuple(v if j == k else np.zeros_like(v) for j, v in enumerate(of)) for of in (column.signal, column.quiet))
             columns.append(Column(f"drift.{column.name}.of_{r.index}", signal, quiet, size * math.sqrt(0.5 * math.log(faster))))
     return columns

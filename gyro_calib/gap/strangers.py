@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -75,6 +76,8 @@ CHANGES = (
         "thermal_pickoff_gain_lag",
     },
 )
+#: what is one where both are there: a late damping is late along its axes as well (of three of an eleventh plant by a tenth to a half)
+_ONE_OF = {"thermal_damping_anisotropy_lag": "thermal_damping_lag"}
 #: where the first of these stand
 _PLACES = (("dynamics", "in quadrature"), ("dynamics", "in phase"), ("drive", "in phase"), ("pick-off", "in phase"))
 #: so many effects, each of which takes that share of all that they take: a device with three at once is rarer than one that has another
@@ -118,7 +121,7 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
             return _stranger(model, (_said_of_their_kind(model, effects) if len(effects) >= _TOO_MANY else None) or rest)
         if chosen:
             alone = _said_of_their_kind(model, effects)
-            named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, first))
+            named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, effects, first))
             if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects)):
                 return _stranger(model, alone)
         if significant > LEFT_SIGMA and share > LEFT_SHARE:
@@ -156,14 +159,15 @@ def _most_worth(found: Sequence[tuple[Screened, Anonymous]]) -> tuple[Screened, 
     return max(found, key=lambda pair: worth_of(pair[0]), default=None)
 
 
-def _worth_of_one(model: CampaignModel, chosen: Sequence[Candidate], first: Sequence[Screened]) -> float:
+def _worth_of_one(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequence[Screened], first: Sequence[Screened]) -> float:
     """What an unnamed term must be worth to be better than any one effect of the registry.
 
     An effect of first order is short of what it takes by a share of it: an asymmetry of SNR 450 was 26 short of 201 702. Where several
-    effects count each is more than that share of the first: a square drag that the registry lacked was a cubic one and two more.
+    effects are more than that share of the first it is not: a square drag that the registry lacked was a cubic one and two more.
     """
     one = [*first, *(s for c in chosen if (s := _by_its_own(model, c)) is not None)]
-    short = 0.5 * SECOND_ORDER if len(chosen) == 1 else 0.0
+    gains = sorted(e.gain for e in effects)
+    short = 0.5 * SECOND_ORDER if sum(gains[:-1]) < SECOND_ORDER * max(gains, default=0.0) or len(gains) == 1 else 0.0
     return max((worth_of(s, own_directions(s)) + max(_BETTER, short * s.gain) for s in one), default=0.0)
 
 
@@ -183,10 +187,12 @@ def one_change_of_another_kind(effects: Sequence[Screened]) -> bool:
     A rate made by a gradient across the shell was late gains of both sides and a late damping. And of a pick-off with two memories a drive
     that bends took four fifths, a nonlinear damping and a voltage by the reference the rest.
     """
-    gains = [e.gain for e in effects]
+    together: dict[str, float] = defaultdict(float)
+    for e in effects:
+        together[_ONE_OF.get(e.name, e.name)] += e.gain
+    gains, names = together.values(), together.keys()
     if len(gains) >= _TOO_MANY and min(gains) > _OF_THREE * sum(gains):
         return True
-    names = {e.name for e in effects}
     return any(len(names & changes) >= _TOO_MANY for changes in CHANGES)
 
 
