@@ -13,6 +13,7 @@ from table_samples import on_a_table, table_model
 
 from gyro_calib.gap.coarse_drive import NAME, _form, rounded, with_coarse_drive
 from gyro_calib.gap.columns import form_columns
+from gyro_calib.gap.diagnose import _loudest_first
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import Signals
@@ -126,3 +127,11 @@ def test_a_drive_that_swings_sets_no_size_of_steps() -> None:
     held = SimpleNamespace(drive=np.stack([np.full(1000, 0.8j), swinging], axis=1))
     assert _held_v(cast(Signals, held)) == pytest.approx(0.8)
     assert min(_sizes(0.8)) < 0.0196 < max(_sizes(0.8))
+
+
+def test_the_loudest_finding_is_the_first_wherever_it_shows() -> None:
+    size = {"size": Quantity(1.0, 0.1, "1")}
+    made = tuple(
+        found_beside(name, size, gain) for name, gain in (("thermal_drive_gain", 32.0), ("external_tone", 14042.0), ("duffing", 50.0))
+    )
+    assert [e.name for e in _loudest_first(made)] == ["external_tone", "duffing", "thermal_drive_gain"]

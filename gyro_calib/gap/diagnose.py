@@ -94,7 +94,7 @@ def diagnose(
     report(0.93, "what else could be seen")
     lines = standings(model, selection, left_out)
     effects = tuple(_found(model, selection, k, rich, left_out) for k in range(len(selection.effects)))
-    effects, lines = effects + beside.effects, _in_order(lines + beside.standings)
+    effects, lines = _loudest_first(effects + beside.effects), _in_order(lines + beside.standings)
     unknown = (
         _unknown(selection.stranger)
         or (None if effects else beside.unknown)
@@ -275,6 +275,11 @@ def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: t
         return "effects"
     tested = sum(s.status in ("excluded", "cannot tell") for s in lines)
     return "none" if tested >= len(lines) // 4 else "not_testable"
+
+
+def _loudest_first(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:
+    """Whether a fit or a spectrum found them: a tone of 14 042 stood behind what a gain of 32 goes with the temperature."""
+    return tuple(sorted(effects, key=lambda e: -e.gain))
 
 
 def _in_order(lines: tuple[Standing, ...]) -> tuple[Standing, ...]:
