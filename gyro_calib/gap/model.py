@@ -345,7 +345,7 @@ def _nuisances(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float, 
         *rate_columns(evidence),
         *frequency_columns(evidence),
         *thermal_columns(evidence, linear),
-        *wander_columns(evidence, wander_rad_s, open_drive_rad_s, linear.frequency_slope_rad_s_k),
+        *wander_columns(evidence, wander_rad_s, open_drive_rad_s),
     ]
 
 

@@ -6,7 +6,6 @@ only where it is larger than a healthy device has it.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -69,8 +68,6 @@ _OF_STIFFNESS = 1e-5
 _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
 #: how late a temperature sensor is behind the resonator, and behind what warms elsewhere [s]
 _SENSOR_LAG_S, _GRADIENT_LAG_S = 0.1, 0.3
-#: share of a warmth by which what is read is not the resonator's: an eleventh plant's gradient moved its resonance by 0.08 % of it
-_ASTRAY = 5e-4
 #: modes in which a drive is switched within a recording, and over its median change a step
 SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
 #: rows of one step lie within that time [s]; more steps than this in a recording are noise
@@ -285,21 +282,17 @@ def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float
     return ageing + stray
 
 
-def wander_columns(evidence: CampaignEvidence, wander_rad_s: float, open_drive_rad_s: float, slope_rad_s_k: float = 0.0) -> list[Column]:
-    """Every recording's own distance of its resonance, and how it moved steadily meanwhile; of waves, and under an open drive.
-
-    ``slope_rad_s_k``: of a warm device the thermometer, or the part of the resonator that it stands for, is off by a share of the warmth.
-    """
+def wander_columns(evidence: CampaignEvidence, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
+    """Every recording's own distance of its resonance, and how it moved steadily meanwhile; of waves, and under an open drive."""
     columns = []
     for r in evidence:
-        astray = _ASTRAY * slope_rad_s_k * float(np.abs(r.signals.temperature_k).max())
         for k, name in enumerate(("shift", "slide")):
             columns.append(
                 Column(
                     f"{name}_{r.index}",
                     tuple(r.turn * 1j * o.signal.resonance[:, k] if o is r else np.zeros(o.signal.lhs.size, complex) for o in evidence),
                     tuple(r.turn * 1j * o.quiet.resonance[:, k] if o is r else np.zeros(o.quiet.lhs.size, complex) for o in evidence),
-                    wander_rad_s if r.is_wave else math.hypot(open_drive_rad_s, astray if name == "shift" else 0.0),
+                    wander_rad_s if r.is_wave else open_drive_rad_s,
                 )
             )
     return columns
