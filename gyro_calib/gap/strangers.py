@@ -76,7 +76,7 @@ CHANGES = (
         "thermal_pickoff_gain_lag",
     },
 )
-#: what is one where both are there: a late damping is late along its axes as well (of three of an eleventh plant by a tenth to a half)
+#: what is one where both are there: a late damping is late along its axes as well
 _ONE_OF = {"thermal_damping_anisotropy_lag": "thermal_damping_lag"}
 #: where the first of these stand
 _PLACES = (("dynamics", "in quadrature"), ("dynamics", "in phase"), ("drive", "in phase"), ("pick-off", "in phase"))
@@ -167,7 +167,7 @@ def _worth_of_one(model: CampaignModel, chosen: Sequence[Candidate], effects: Se
     """
     one = [*first, *(s for c in chosen if (s := _by_its_own(model, c)) is not None)]
     gains = sorted(e.gain for e in effects)
-    short = 0.5 * SECOND_ORDER if sum(gains[:-1]) < SECOND_ORDER * max(gains, default=0.0) or len(gains) == 1 else 0.0
+    short = 0.5 * SECOND_ORDER if sum(gains[:-1]) < SECOND_ORDER * max(gains, default=0.0) else 0.0
     return max((worth_of(s, own_directions(s)) + max(_BETTER, short * s.gain) for s in one), default=0.0)
 
 
