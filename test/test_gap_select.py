@@ -16,6 +16,7 @@ from gyro_calib.gap.counting import beyond_complete, enough
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.saturated import _with_room
 from gyro_calib.gap.screen import Candidate, Screened
+from gyro_calib.gap.select import physical
 
 LOUD = 2.5e7
 
@@ -121,3 +122,14 @@ def test_a_term_that_says_nearly_all_that_an_effect_does_is_what_is_unknown(
     found = strangers.unnamed_rest(model, [])
     assert found is not None
     assert found.term.form == form
+
+
+def test_a_mode_whose_line_covers_the_resonance_is_none() -> None:
+    """A drive that changes its range was a mode 0.14 Hz away and 0.52 Hz wide: a memory of a third of a second."""
+
+    def mode(separation_hz: float, half_width_hz: float) -> Screened:
+        candidate = Candidate("spurious_mode", {"separation_hz": separation_hz, "half_width_hz": half_width_hz}, (), np.zeros(0))
+        return Screened(candidate, 126.0, 1, 50.0, np.zeros(0), np.zeros(0), 0.0, cast(np.ndarray, np.zeros((1, 1))))
+
+    assert not physical(mode(-0.14, 0.52))
+    assert physical(mode(-126.0, 4.8))
