@@ -94,7 +94,13 @@ def _columns(evidence: CampaignEvidence, by_recording: Iterable[list[tuple[Key, 
                 totals[key] = totals[key] + found if key in totals else found
             for key, total in totals.items():
                 by_key.setdefault(key, []).append(r.turn * total)
-    return {key: Column(key[1], *with_what_feeds(evidence, linear, vectors[0][key], vectors[1][key])) for key in vectors[0]}
+    if not vectors[0]:
+        return {}
+    side_by_side = ([np.stack(of_all, axis=1) for of_all in zip(*by_key.values(), strict=True)] for by_key in vectors)
+    signal, quiet = with_what_feeds(evidence, linear, *side_by_side)
+    return {
+        key: Column(key[1], tuple(x[:, k].copy() for x in signal), tuple(x[:, k].copy() for x in quiet)) for k, key in enumerate(vectors[0])
+    }
 
 
 def _added(s: Signals, part: Part, linear: Linear) -> ComplexArray:

@@ -81,6 +81,15 @@ class RecordingEvidence:
 
     def lines(self, channel: str, *, quiet: bool = False) -> Lines:
         """Test functions of a channel; the frequency of a wave is relative to its amplitude."""
+        if (channel, quiet) not in self._lines:
+            self._lines[channel, quiet] = self._made_lines(channel, quiet=quiet)
+        return self._lines[channel, quiet]
+
+    @cached_property
+    def _lines(self) -> dict[tuple[str, bool], Lines]:
+        return {}
+
+    def _made_lines(self, channel: str, *, quiet: bool) -> Lines:
         projector = self.quiet_forms if quiet else self.signal_forms
         f = projector.frequency_hz
         slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .evidence import CampaignEvidence, RecordingEvidence
-from .followed import resonance_courses
+from .followed import course_names, resonance_courses
 from .parts import Linear
 from .signals import Projector
 
@@ -20,19 +20,20 @@ ComplexArray = NDArray[np.complex128]
 def with_what_feeds(
     evidence: CampaignEvidence, linear: Linear, signal: Sequence[ComplexArray], quiet: Sequence[ComplexArray]
 ) -> tuple[tuple[ComplexArray, ...], tuple[ComplexArray, ...]]:
-    """An effect's column with what feeds through where it moved the resonance; as it is where nothing is known of that.
+    """Effects' columns with what feeds through where they moved the resonance; as they are where nothing is known of that.
 
     Parameters
     ----------
     evidence : CampaignEvidence
     linear : Linear
     signal, quiet : sequence of ndarray, complex
-        By recording, turned by the wave's phase, with the force on the motion.
+        By recording, shape (m, k), turned by the wave's phase, with the force on the motion.
     """
     if linear.followed is None:
         return tuple(signal), tuple(quiet)
     moved = linear.followed.moved_by(signal)
-    sizes = [np.array([moved.get(name, 0.0) for name in resonance_courses(r)]) for r in evidence]
+    still = np.zeros(signal[0].shape[1])
+    sizes = [np.array([moved.get(name, still) for name in course_names(r)]) for r in evidence]
     return (
         tuple(x + _fed(r, r.signal_forms, linear) @ size for r, x, size in zip(evidence, signal, sizes, strict=True)),
         tuple(x + _fed(r, r.quiet_forms, linear) @ size for r, x, size in zip(evidence, quiet, sizes, strict=True)),

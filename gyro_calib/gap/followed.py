@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .evidence import CampaignEvidence, RecordingEvidence
 from .system import Solution, Whitener
 
-__all__ = ["Followed", "followed_by", "followed_of", "resonance_courses"]
+__all__ = ["Followed", "course_names", "followed_by", "followed_of", "resonance_courses"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -49,9 +49,9 @@ class Followed:
         """The same, with what wandered within recordings besides [rad/s]."""
         return replace(self, rad_s=tuple(a + b for a, b in zip(self.rad_s, rad_s, strict=True)))
 
-    def moved_by(self, signal: Sequence[ComplexArray]) -> dict[str, float]:
-        """What a column at the signal's lines (by recording, turned) was taken for, by unknown."""
-        return dict(zip(self.names, (self.answer @ self.whitener.rows(signal)).tolist(), strict=True))
+    def moved_by(self, signal: Sequence[ComplexArray]) -> dict[str, FloatArray]:
+        """What columns at the signal's lines (by recording (m, k), turned) were taken for, shape (k,) by unknown."""
+        return dict(zip(self.names, self.answer @ self.whitener.rows(signal), strict=True))
 
 
 def followed_by(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray:
@@ -61,7 +61,7 @@ def followed_by(r: RecordingEvidence, values: Mapping[str, float]) -> FloatArray
 
 def followed_of(evidence: CampaignEvidence, solution: Solution, whitener: Whitener, design: FloatArray) -> Followed:
     """Of a fit's solution, its weights and its design (equations, unknowns)."""
-    known = {name for r in evidence for name in resonance_courses(r)}
+    known = {name for r in evidence for name in course_names(r)}
     places = [k for k, c in enumerate(solution.columns) if c.name in known]
     values = solution.by_name()
     return Followed(
@@ -75,9 +75,10 @@ def followed_of(evidence: CampaignEvidence, solution: Solution, whitener: Whiten
 def resonance_courses(r: RecordingEvidence) -> dict[str, FloatArray]:
     """Courses in time that a distance of the resonance has in a recording, by the fit's unknown, shape (n,) each."""
     s = r.signals
-    return {
-        "frequency_per_k": s.temperature_k,
-        "frequency_per_k2": s.temperature_k**2,
-        f"shift_{r.index}": np.ones_like(s.time_s),
-        f"slide_{r.index}": np.linspace(-1.0, 1.0, len(s.time_s)),
-    }
+    courses = s.temperature_k, s.temperature_k**2, np.ones_like(s.time_s), np.linspace(-1.0, 1.0, len(s.time_s))
+    return dict(zip(course_names(r), courses, strict=True))
+
+
+def course_names(r: RecordingEvidence) -> tuple[str, str, str, str]:
+    """The fit's unknowns of these courses."""
+    return "frequency_per_k", "frequency_per_k2", f"shift_{r.index}", f"slide_{r.index}"

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -66,6 +67,10 @@ class Lines:
 
     def basis(self) -> FloatArray:
         """Densities of the terms, shape (m, 4): white, flicker, pick-off, walk; or (m, 6), with gains of x and y."""
+        return self._basis
+
+    @cached_property
+    def _basis(self) -> FloatArray:
         f = self.frequency_hz
         walk = f**-2.0 if self.walk_s2 is None else np.where(self.is_mean, f**-2.0, self.walk_s2)
         heard = () if self.gains is None else np.diagonal(self.gains, axis1=1, axis2=2)

@@ -50,9 +50,7 @@ class Whitener:
 
     @cached_property
     def _inverses(self) -> list[tuple[FloatArray, FloatArray]]:
-        return [
-            (np.asarray(np.linalg.inv(re), dtype=np.float64), np.asarray(np.linalg.inv(im), dtype=np.float64)) for re, im in self.factors
-        ]
+        return [(_inverse(re), _inverse(im)) for re, im in self.factors]
 
     @classmethod
     def of(cls, evidence: CampaignEvidence, noise: NoiseByRole, excess: Mapping[tuple[int, str], float] | None = None) -> Whitener:
@@ -67,9 +65,10 @@ class Whitener:
                 sides = []
                 for channel in (CHANNELS[2 * side + part] for side in range(2)):
                     covariance = noise[r.noise_key(channel)].covariance(r.lines(channel), r.grams)
-                    sides.append(more.get((r.index, channel), 1.0) * _own_mean_apart(r, channel, covariance))
-                whole = scipy.linalg.block_diag(*sides)
-                pair.append(np.linalg.cholesky(whole + 1e-12 * np.diag(np.diag(whole))))
+                    own = more.get((r.index, channel), 1.0) * _own_mean_apart(r, channel, covariance)
+                    own[np.diag_indices_from(own)] *= 1.0 + 1e-12
+                    sides.append(np.linalg.cholesky(own))
+                pair.append(scipy.linalg.block_diag(*sides))
             factors.append((pair[0], pair[1]))
         return cls(tuple(factors))
 
@@ -123,6 +122,11 @@ class Solution:
     def by_name(self) -> dict[str, float]:
         """Values by name."""
         return {c.name: float(v) for c, v in zip(self.columns, self.values, strict=True)}
+
+
+def _inverse(factor: FloatArray) -> FloatArray:
+    """Of a lower triangle."""
+    return np.asarray(scipy.linalg.lapack.dtrtri(factor, lower=1)[0])
 
 
 def _own_mean_apart(r: RecordingEvidence, channel: str, covariance: FloatArray) -> FloatArray:
