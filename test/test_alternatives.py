@@ -45,6 +45,7 @@ def _cross_error_deg_h(device: Device, found: SlowFlowEstimate) -> float:
     return float(np.max(np.abs(error.real))) / device.resonator.angular_gain / DEG_H
 
 
+@pytest.mark.slow
 def test_open_secondary_swings_freely_and_closes_again() -> None:
     device = draw_unit(load_device("ring_15k"), 3)
     for fidelity in ("carrier", "slow_flow"):

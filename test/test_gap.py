@@ -116,6 +116,7 @@ def test_a_strong_effect_has_its_true_size(effect: str, sizes: dict[str, float])
         assert value.value == pytest.approx(sizes[name], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_cube_of_each_axis_as_large_on_both_is_told_by_pickoffs_that_are_not_square() -> None:
     """Of both together it is 2.4 % short, and what is left has the name of a cubic cross stiffness (a sixth plant, 126 in chi-square)."""
     skewed = replace(unit().pickoff, non_orthogonality_rad=0.02, gain_mismatch=0.0)

@@ -76,6 +76,7 @@ class Leaning(SimulatedInstrument):
         return super()._turned(duration_s, label, extras) + self._bias_rad_s - self._rate
 
 
+@pytest.mark.slow
 def test_a_bias_that_goes_with_the_amplitude_is_unknown_in_the_dynamics() -> None:
     device = draw_unit(load_device("ring_15k"), 5)
     plan = gap_ftr_plan(device.factory(), quality="quick")

@@ -97,6 +97,7 @@ def test_what_drifts_steadily_is_no_floor_whether_it_has_a_name_or_not() -> None
     assert (found.unknown.form.split(",")[0], found.unknown.depends_on) == ("t x", "time")
 
 
+@pytest.mark.slow
 def test_a_reading_that_swings_is_unknown_with_its_period() -> None:
     found = diagnose(with_reading_gain(lambda r, start: 2e-4 * np.cos(2.0 * np.pi * (r.t - start) / PERIOD_S)))
     assert found.verdict == "unknown"
@@ -108,6 +109,7 @@ def test_a_reading_that_swings_is_unknown_with_its_period() -> None:
     assert float(found.unknown.form.split()[-2]) == pytest.approx(PERIOD_S, abs=3.0)
 
 
+@pytest.mark.slow
 def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() -> None:
     ordered = sorted(clean(), key=lambda r: float(r.t[0]))
     moment = float(ordered[len(ordered) // 2].t[0])

@@ -86,6 +86,7 @@ def with_hot_open_drives() -> Campaign:
     return run_plan(instrument, gap_ftr_plan(device.factory(), quality="quick", abilities=("temperature",)))
 
 
+@pytest.mark.slow
 def test_a_feedthrough_by_warmth_that_was_found_alone_is_formed_anew() -> None:
     """What may come with it has no size then: that ended a diagnosis with a KeyError."""
     model = looked_at(with_hot_open_drives())
@@ -95,6 +96,7 @@ def test_a_feedthrough_by_warmth_that_was_found_alone_is_formed_anew() -> None:
     assert {"e_x", "e_y", "skew_late_x"} <= {c.name for c in again.columns}
 
 
+@pytest.mark.slow
 def test_a_feedthrough_that_grows_with_warmth_as_a_whole_has_its_name() -> None:
     """Through any element and at any phase: what the catalogue's form has beside it is no noise of the hot open drives."""
     campaign = with_hot_open_drives()

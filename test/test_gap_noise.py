@@ -355,6 +355,7 @@ def test_a_walk_of_a_wave_that_turns_is_correlated_as_one_that_stands() -> None:
     assert worst > 3.0
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_another_in_each_recording_is_noise_of_its_means() -> None:
     rng = np.random.default_rng(3)
     unit, planned = draw_trial_unit("ring", 79, 1), np.random.default_rng(1)

@@ -56,7 +56,7 @@ def test_the_log_is_mended_by_recording() -> None:
 
 @pytest.mark.parametrize("name", ["rate_asymmetry", "centrifugal_stiffness"])
 def test_what_depends_on_rate_is_as_certain_as_with_a_right_log(name: str) -> None:
-    late, right = (loudest(model(late), name) for late in (True, False))
+    late, right = (loudest(model(late=late), name) for late in (True, False))
     (of_late,), (of_right,) = ([sd for _, sd in s.sizes().values()] for s in (late, right))
     assert of_late < 1.3 * of_right
 
@@ -149,6 +149,7 @@ def test_a_wave_that_grows_as_the_rule_of_a_plant_has_it_is_healthy() -> None:
     assert select_effects(growing).stranger is None
 
 
+@pytest.mark.slow
 def test_a_patched_device_keeps_the_angular_gain_of_its_resonator() -> None:
     """Its pick-offs are askew as those that were seen: as they read it, it would be counted twice."""
     campaign = on_a_table()

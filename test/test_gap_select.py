@@ -35,6 +35,8 @@ def screened(name: str, gain: float) -> Screened:
         ("charge_accumulation", 0.0045, "nonlinear_damping", True),
         ("charge_accumulation", 0.0003, "nonlinear_damping", False),
         ("charge_accumulation", 0.0045, "drive_gain_drift", False),
+        ("nonlinear_damping", 0.0045, "charge_accumulation", True),
+        ("nonlinear_damping", 0.0003, "charge_accumulation", False),
         # what is left of an effect of temperature may lag behind it
         ("thermal_damping_lag", 0.0045, "thermal_damping", False),
     ],

@@ -209,6 +209,7 @@ def test_what_goes_with_time_must_beat_larger_floors() -> None:
     assert beat_their_floors(hushed, [replace(other, log_evidence=0.0)])
 
 
+@pytest.mark.slow
 def test_a_damping_that_grows_is_no_floor_of_damping_that_it_has_made_itself() -> None:
     """Floors as large as all of it seems where nothing else is allowed for leave less than counts."""
     model = floored()

@@ -13,14 +13,16 @@ from table_samples import looked_at, table_model
 
 from gyro_calib.gap.anonymous import HEATED
 from gyro_calib.gap.column import Column
+from gyro_calib.gap.columns import part_columns
 from gyro_calib.gap.floors import beside_wander
 from gyro_calib.gap.kin import nearest_known
 from gyro_calib.gap.model import look_at
-from gyro_calib.gap.parts import SKEW
+from gyro_calib.gap.one_recording import told_by_several
+from gyro_calib.gap.parts import SKEW, Part
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import Selection, select_effects
-from gyro_calib.gap.strangers import MARGIN, bank_terms, unnamed_counts
+from gyro_calib.gap.strangers import MARGIN, bank_terms, unnamed_counts, worth_of
 from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
@@ -132,6 +134,40 @@ def test_what_warms_or_creeps_in_a_second_has_a_form(location: str, form: str, p
     selection = selected([term.columns[place]])
     assert selection.stranger is not None
     assert (selection.stranger.term.location, selection.stranger.term.form) == (location, form)
+
+
+@pytest.mark.parametrize("several", [True, False])
+def test_what_is_remembered_is_remembered_by_several_recordings(several: bool) -> None:
+    """A ring-down that began before the wave had come to rest was a bias that lags, or what warmed drives do."""
+    model = table_model()
+    memory = next(c for t, c in model.bank if (t.location, t.phase, t.form) == ("drive", "in phase", "|u of 3 s|^2 x, u the drives"))
+    column = memory.columns[1]
+    first = max(range(len(column.signal)), key=lambda k: float(np.linalg.norm(column.signal[k])))
+    once = replace(column, signal=tuple(v if k == first else 0.0 * v for k, v in enumerate(column.signal)))
+    added = column if several else once
+    strange = with_columns(model, [(added, 25.0 / float(np.linalg.norm(model.screener.projected([added])[0])))])
+    found = strange.screener.screen(memory)
+    assert found is not None
+    assert found.log_evidence > 2.0 * MARGIN
+    assert any(s.candidate is memory for s, _ in bank_terms(strange, strange.screener)) is several
+    for name, told in (("thermal_bias_lag", several), ("thermal_bias", True)):
+        assert told_by_several(strange, replace(found, candidate=replace(memory, name=name)), []) is told
+
+
+def test_a_drive_that_lags_beyond_a_level_is_in_the_bank() -> None:
+    """An amplifier of one axis that cannot slew so fast: a limiter of both took half of it, a cube of the pick-offs two thirds."""
+    model, slew_v = table_model(), 0.9 * max(float(np.abs(r.signals.drive[:, 1]).max()) for r in table_model().evidence)
+    late = []
+    for r in model.evidence:
+        u = r.signals.drive[:, 1]
+        over = np.maximum(1.0 - slew_v / np.maximum(np.abs(u), 1e-300), 0.0)
+        late.append([Part("late", "drive", np.stack([0.0 * u, -1j * over**2 * u], axis=1))])
+    strange = with_effects(model, part_columns(model.evidence, late, model.linear), 60.0)
+    found = max(bank_terms(strange, strange.screener), key=lambda pair: worth_of(pair[0]))
+    assert (found[1].location, found[1].phase) == ("drive", "of any phase")
+    assert "beyond" in found[1].form
+    sizes = dict(zip((c.name for c in found[0].candidate.columns), found[0].values, strict=True))
+    assert sizes["c_1_late"] > 5.0 * abs(sizes["c_1"])
 
 
 def test_what_lies_between_records_is_asked_beside_a_wander_of_any_size() -> None:

@@ -144,8 +144,9 @@ def _largest(evidence: CampaignEvidence, linear: Linear, forms: Sequence[tuple[A
 
 
 def _knees(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, Candidate]]:
-    """What lies beyond a level grows otherwise, by any share; or a loss, or a stiffness, begins there."""
+    """What lies beyond a level grows otherwise, by any share; a drive's lags there; or a loss, or a stiffness, begins there."""
     knees = [(kind, "in phase", FORMS[name], 1.0, name) for name, kind in _KNEES.items()]
+    knees.append(("drive", _ANY_PHASE[0][0], Form(_driven_beyond), 1.0, "drive_saturation"))
     knees += [("flow", phase, Form(_beyond(factor)), 0.1, _OF_MOTIONS_LEVELS) for phase, factor in _PHASES]
     found = []
     for kind, phase, form, prior_sd, levels in knees:
@@ -156,6 +157,14 @@ def _knees(evidence: CampaignEvidence, linear: Linear) -> list[tuple[Anonymous, 
                 term = Anonymous(LOCATIONS[kind], phase, f"what lies beyond {setting['level']:.3g} V", "amplitude")
                 found.append((term, Candidate(term.name, setting, tuple(columns), np.full(len(columns), prior_sd), len(settings))))
     return found
+
+
+def _driven_beyond(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """What of either drive lies beyond a level, at any phase: an amplifier that cannot slew so fast is late before it is short."""
+    size = np.abs(s.drive)
+    more = np.maximum(size - setting["level"], 0.0) / np.maximum(size, 1e-300) * s.drive
+    alone = [more * axis for axis in np.eye(2)]
+    return [Part(f"c_{k}{part}", "drive", factor * x) for k, x in enumerate(alone) for part, factor in (("", 1.0), ("_late", -1j))]
 
 
 def _beyond(factor: complex) -> Callable[[Signals, Linear, Setting], list[Part]]:

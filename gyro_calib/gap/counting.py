@@ -30,9 +30,10 @@ def enough(found: Screened, largest: Screened | None = None, rest: float = math.
         Chi-square that is left beside what was found so far, from :func:`beyond_complete`.
     """
     left = 0.0 if largest is None else SECOND_ORDER * largest.gain
-    moved_by = _moved_by(found.name)
-    if largest is not None and moved_by and not moved_by & _moved_by(largest.name):
-        # experiments are in a drawn order, and most of them cold and at rest: little of what is static is seen in what is not
+    moved_by, loudest_by = _moved_by(found.name), set() if largest is None else _moved_by(largest.name)
+    if moved_by != loudest_by and not moved_by & loudest_by:
+        # experiments are in a drawn order, and most of them cold and at rest: little of what is static is seen in what is not, or of
+        # what is not in what is static
         left = min(_OF_OTHERS * left, _OF_THE_REST * rest)
     return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, left)
 

@@ -112,13 +112,14 @@ class CampaignModel:
 
     def seen_without(self, recordings: Sequence[int], found: Screened, others: Sequence[Candidate]) -> Screened | None:
         """An effect beside others as all but some recordings show it, given by index."""
-        return self._without(recordings, others).screen(found.candidate) if recordings else found
+        return self.without(recordings, others).screen(found.candidate) if recordings else found
 
     def taken_at_rest(self, found: Screened, others: Sequence[Candidate]) -> float:
         """Chi-square that an effect of the size it has in all recordings takes away from those that were not turned."""
-        return self._without(self._turned, others).taken(found)
+        return self.without(self._turned, others).taken(found)
 
-    def _without(self, recordings: Sequence[int], others: Sequence[Candidate]) -> Screener:
+    def without(self, recordings: Sequence[int], others: Sequence[Candidate]) -> Screener:
+        """Screens what effects leave of all but some recordings, given by index."""
         silent = {(index, channel): _SILENT for index in recordings for channel in CHANNELS}
         whitener = Whitener.of(self.evidence, self.noise, {**self.excess, **silent})
         return Screener(whitener, [*self.nuisances, *effect_columns(others)], self.target)

@@ -13,7 +13,7 @@ from .memory import behind, remembered
 from .parts import one_axis, turned
 from .signals import Signals
 
-__all__ = ["APART", "DIRECTED", "FED", "LATE", "MONOMIALS", "RISING", "WARM_FED", "Monomial", "size_of"]
+__all__ = ["APART", "DIRECTED", "FED", "LATE", "MONOMIALS", "RISING", "WARM_FED", "Monomial", "remembers", "size_of"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -95,6 +95,11 @@ def _by_azimuth(count: int) -> dict[tuple[str, str], list[Monomial]]:
     }
 
 
+def remembers(form: str) -> bool:
+    """Whether a term by its form is a memory of what went before a recording."""
+    return any(memory in form for memory in _MEMORIES)
+
+
 def _late(s: Signals, x: ComplexArray, tau_s: float) -> ComplexArray:
     """Through a low-pass, begun settled: what went before is not known of an unnamed signal."""
     return remembered(replace(s, before=None), lambda _: x, tau_s)
@@ -151,6 +156,8 @@ _CONSTANTS = [lambda x, k=k, f=f: one_axis(np.full_like(x, f), k) for k in range
 #: alike on both axes, in the frequency of the motion, it is a thermometer that lags, as every one does
 LATE, LATE_S = "(T - T of 20 s before) x", 20.0
 RISING = "dT/dt x"
+#: what remembers for longer than records settle
+_MEMORIES = (" of 3 s|", " of 15 s|", LATE)
 DIRECTED = "x/|x| by 4theta and 8theta"
 #: of these one axis against the other
 APART: dict[str, Factor] = {

@@ -1,27 +1,35 @@
-"""What goes with time must not be one recording's doing: a knock, a visitor, a loop that had not settled change that one alone.
+"""What goes with time or remembers must not be one recording's doing: a knock, a visitor, a loop not settled change that one alone.
 
 A course of time that begins or ends a campaign is told by few recordings, most by the first: a clean ring whose first record's quadrature
-lay five standard deviations from the others held a charge that was there after 25 s (40 in chi-square, 10 without that record).
+lay five standard deviations from the others held a charge that was there after 25 s (40 in chi-square, 10 without that record). And a
+ring-down of a healthy hemisphere that began before the wave had come to rest, 25 s after a ramp, was a bias that lags behind it (80, of
+which the ramp itself told nothing) or what warmed drives do: all that differs at a record's beginning is a memory of what went before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .saturated import is_of_time
-from .screen import Candidate, Screened
+from .screen import Candidate, Screened, Screener
 
 if TYPE_CHECKING:
+    from .evidence import RecordingEvidence
     from .model import CampaignModel
 
-__all__ = ["told_by_several"]
+__all__ = ["memories_of_several", "told_by_several"]
+
+#: how the registry calls what lags behind the temperature
+_LAG = "_lag"
 
 
 def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Candidate]) -> bool:
-    """Whether an effect that goes with time is still likelier than none without the recording that tells most of it.
+    """Whether an effect that goes with time or lags is still likelier than none without the recording that tells most of it.
+
+    Of a lag that may be all there is, if it is one in which the temperature moves.
 
     Parameters
     ----------
@@ -30,10 +38,44 @@ def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Cand
     others : sequence of Candidate
         What else was found.
     """
-    if not is_of_time(found.name):
+    lags = found.name.endswith(_LAG)
+    if not (lags or is_of_time(found.name)):
         return True
-    made = found.directions @ (found.directions.T @ model.screener_with(others).left)
+    for r in _loudest(model, found, model.screener_with(others)):
+        still = found if lags and r.is_warming else model.seen_without((r.index,), found, others)
+        if still is None or still.log_evidence <= 0.0:
+            return False
+    return True
+
+
+def memories_of_several(
+    model: CampaignModel, screener: Screener, found: Iterable[Screened], others: Sequence[Candidate]
+) -> Iterator[Screened]:
+    """Those unnamed memories that still are likelier than none without the recording that tells most of each.
+
+    Parameters
+    ----------
+    model : CampaignModel
+    screener : Screener
+        Holds the others.
+    found : iterable of Screened
+    others : sequence of Candidate
+    """
+    without: dict[int, Screener] = {}
+    for memory in found:
+        cold = [r.index for r in _loudest(model, memory, screener) if not r.is_warming]
+        without |= {index: model.without((index,), others) for index in cold if index not in without}
+        still = (without[index].screen(memory.candidate) for index in cold)
+        if all(s is not None and s.log_evidence > 0.0 for s in still):
+            yield memory
+
+
+def _loudest(model: CampaignModel, found: Screened, screener: Screener) -> list[RecordingEvidence]:
+    """The recordings in which an effect does most, and in which it explains most: these are one, or two."""
+    made = found.directions @ (found.directions.T @ screener.left)
     ends = np.cumsum([2 * r.signal.lhs.size for r in model.evidence])
-    loudest = int(np.argmax([float(part @ part) for part in np.split(made[: ends[-1]], ends[:-1])]))
-    still = model.seen_without((model.evidence.recordings[loudest].index,), found, others)
-    return still is not None and still.log_evidence > 0.0
+    places = {
+        int(np.argmax([float(part.sum()) for part in np.split(of_rows[: ends[-1]], ends[:-1])]))
+        for of_rows in (made**2, made * screener.left)
+    }
+    return [model.evidence.recordings[k] for k in sorted(places)]

@@ -13,6 +13,8 @@ from .anonymous import HEATED, LOCATIONS, Anonymous
 from .floors import beside_wander, louder_floors
 from .kin import nearest_known
 from .model import CampaignModel
+from .monomials import remembers
+from .one_recording import memories_of_several
 from .parts import SKEW
 from .screen import Candidate, Screened, Screener, worth
 
@@ -209,13 +211,15 @@ def _unnamed(model: CampaignModel, screener: Screener, chosen: Sequence[Candidat
 
 
 def bank_terms(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:
-    """Unnamed terms beside what a screener holds; those that go with time if they are no 1/f floor."""
+    """Unnamed terms beside what a screener holds; those that go with time if they are no floor, that remember if several recordings do."""
     terms = {id(c): a for a, c in model.bank}
     screened = ((s, terms[id(s.candidate)]) for s in screener.screened(c for _, c in model.bank))
     weighed = ((_beside_wander(model, chosen, s) if (a.form, a.phase) == HEATED else s, a) for s, a in screened if _may_be(s, a))
     found = [(s, a) for s, a in weighed if s is not None]
     no_floors = {id(s) for s in _no_floors(model, chosen, [s for s, a in found if a.depends_on == "time"])}
-    return [(s, a) for s, a in found if a.depends_on != "time" or id(s) in no_floors]
+    memories = [s for s, a in found if remembers(a.form) and worth_of(s) > MARGIN]
+    of_one = {id(s) for s in memories} - {id(s) for s in memories_of_several(model, screener, memories, chosen)}
+    return [(s, a) for s, a in found if (a.depends_on != "time" or id(s) in no_floors) and id(s) not in of_one]
 
 
 def _may_be(found: Screened, term: Anonymous) -> bool:
