@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from gyro_calib.gap.forms import FORMS, behind, cube
 from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once
 from gyro_calib.gap.signals import Signals, with_pick
+from gyro_calib.gap.warm_forms import _HALF_PER_K, _LATE_S
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.recording import Recording
@@ -155,3 +156,36 @@ def test_what_feeds_through_by_warmth_has_a_phase_and_goes_across() -> None:
     np.testing.assert_allclose(UNEQUAL * (parts[f"{SKEW}_late_x"] + parts[f"{SKEW}_late_y"]), 1j * fed)
     np.testing.assert_allclose(UNEQUAL * (parts[f"{SKEW}_across_xc"] + parts[f"{SKEW}_across_yc"]), 0.3 * fed[:, ::-1])
     np.testing.assert_allclose(parts[f"{SKEW}_across_xs"], 1j * parts[f"{SKEW}_across_xc"])
+
+
+def warming(duration_k: float) -> tuple[Signals, Linear]:
+    """That motion while it warms steadily, by so much."""
+    signals, linear = moving(0.0)
+    signals.__dict__["temperature_k"] = duration_k * signals.time_s / signals.time_s[-1]
+    return signals, linear
+
+
+@pytest.mark.parametrize("name", ["thermal_drive_phase", "thermal_pickoff_phase"])
+def test_a_phase_by_the_temperature_turns_and_leaves_no_gain_by_its_square(name: str) -> None:
+    signals, linear = warming(10.0)
+    x = signals.drive if "drive" in name else signals.pick
+    parts = {p.parameter: p.signal for p in FORMS[name].parts(signals, linear, {})}
+    sizes = {"x": 4e-4, "y": -6e-4}
+    first = sum(g * parts[f"g_{n}"] for n, g in sizes.items())
+    shorter = sum(0.5 * g**2 * UNEQUAL / _HALF_PER_K * parts[f"{SKEW}_shorter_{n}"] for n, g in sizes.items())
+    exact = (np.exp(1j * signals.temperature_k[:, None] * np.array(list(sizes.values()))) - 1.0) * x
+    assert np.abs(first - exact).max() > 1e-6 * np.abs(x).max()
+    assert np.abs(first + shorter - exact).max() < 5e-3 * np.abs(first - exact).max()
+
+
+def test_a_damping_that_bends_does_so_before_a_thermometer_that_is_late() -> None:
+    signals, linear = warming(10.0)
+    late_s = 0.015
+    (bent, late) = FORMS["thermal_damping_curvature"].parts(signals, linear, {})
+    assert (bent.parameter, late.parameter) == ("c", f"{SKEW}_late")
+    # what bends follows the resonator, which is warmer by then
+    warmer = ((signals.temperature_k + 5.0 * late_s) / np.maximum(signals.temperature_k, 1e-9)) ** 2
+    exact = warmer[:, None] * bent.signal
+    found = bent.signal - UNEQUAL * late_s / _LATE_S * late.signal
+    inner = slice(50, -50)
+    assert np.abs(found - exact)[inner].max() < 0.05 * np.abs(bent.signal - exact)[inner].max()

@@ -16,7 +16,7 @@ from gyro_calib.gap.diagnosis import FoundEffect
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screener
 from gyro_calib.gap.system import Whitener, solve
-from gyro_calib.gap.told import told_sizes
+from gyro_calib.gap.told import _of_its_tangent, told_sizes
 from gyro_calib.quantity import Quantity
 
 ROWS, DRAWS, SIGMAS = 60, 200, 1.96
@@ -115,3 +115,16 @@ def test_a_share_that_nobody_knows_is_not_told(sd: float, words: str) -> None:
 )
 def test_a_size_is_said_to_the_second_digit_of_its_sd(value: float, sd: float, text: str) -> None:
     assert _said(Quantity(value, sd, "V")) == text
+
+
+def test_a_skew_is_told_by_the_angle_of_what_it_crosses() -> None:
+    """Rate crosses the flow by kappa e^{i w tau}; the angular gain is read off its real part."""
+    omega, tau, kappa = 2.0 * np.pi * 15000.0, -4.25e-6, 0.8
+    crossed = kappa * np.exp(1j * omega * tau)
+    as_fitted = Quantity(float(crossed.imag / crossed.real) / omega, 1.0e-7, "s")
+    assert as_fitted.value == pytest.approx(1.06 * tau, rel=0.01)
+    found = _of_its_tangent(as_fitted, omega)
+    assert found.value == pytest.approx(tau, rel=1e-9)
+    step = 1e-12
+    moved = _of_its_tangent(Quantity(as_fitted.value + step, 0.0, "s"), omega).value - found.value
+    assert found.sd == pytest.approx(as_fitted.sd * moved / step, rel=1e-4)

@@ -17,9 +17,10 @@ from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
 from .own_modes import mode_parts, modes
-from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, beside, motion, one_axis, read_at_once, turned
+from .parts import REST, SKEW, UNEQUAL, Form, Kind, Linear, Part, Setting, beside, motion, one_axis, read_at_once, turned, velocity
 from .pumps import driven_pump, steady_pump
 from .signals import Signals
+from .warm_forms import bent_damping, turned_drive, turned_reading
 
 __all__ = ["AT_REST", "FORMS", "conjugate_product", "cube"]
 
@@ -82,12 +83,6 @@ def _swapped(x: ComplexArray) -> ComplexArray:
 
 def _by_axis(kind: Kind, letter: str, x: ComplexArray) -> list[Part]:
     return [Part(f"{letter}_{name}", kind, one_axis(x, axis)) for axis, name in enumerate("xy")]
-
-
-def _velocity(s: Signals, d: Linear) -> ComplexArray:
-    """What damping acts on, over i omega0: of a wave that turns or grows the velocity is not quite the motion a quarter period on."""
-    p = motion(s, d)
-    return s.once("velocity", d, lambda: np.asarray(p + np.gradient(p, s.row_s, axis=0) / (1j * s.omega0_rad_s)))
 
 
 def _anisotropy(letter: str, x: ComplexArray, factor: complex) -> list[Part]:
@@ -226,17 +221,7 @@ def _centrifugal(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
-    return Form(lambda s, d, g: [Part(parameter, "flow", -x(s)[:, None] * _velocity(s, d))])
-
-
-def _bent_damping(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """What is unequal of the damping bends with it."""
-    lossy = -0.5 * (d.A + d.A.T).real
-    mean = 0.5 * float(np.trace(lossy))
-    unequal = lossy - mean * np.eye(2)
-    # a pump may undo all of it but what is unequal
-    unequal /= max(mean, 2.0 * float(np.abs(unequal).max()), np.finfo(float).tiny)
-    return [Part("c", "flow", -_warm_squared(s)[:, None] * (_velocity(s, d) @ (np.eye(2) + unequal)))]
+    return Form(lambda s, d, g: [Part(parameter, "flow", -x(s)[:, None] * velocity(s, d))])
 
 
 def _as_rate(parameter: str, s: Signals, d: Linear, rate_rad_s: FloatArray) -> list[Part]:
@@ -290,7 +275,7 @@ def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """What a shell that is not warm throughout does: it splits the frequency, and damps unequally as well."""
     late = behind(s, setting["tau"])
-    damped = _DAMPED * late * _velocity(s, d)
+    damped = _DAMPED * late * velocity(s, d)
     unequal = [beside("damped_c", "flow", damped * np.array([1.0, -1.0])), beside("damped_s", "flow", _swapped(damped))]
     return [*_anisotropy("k", late * motion(s, d), 1j), *unequal]
 
@@ -361,20 +346,20 @@ FORMS: dict[str, Form] = {
     "channel_skew": Form(lambda s, d, g: [Part("tau", "output", one_axis(_lag(s, s.pick), 1))]),
     # environment
     "thermal_damping": _damping("c", _warm),
-    "thermal_damping_curvature": Form(_bent_damping),
-    "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * _velocity(s, d), -1.0)),
+    "thermal_damping_curvature": Form(bent_damping),
+    "thermal_damping_anisotropy": Form(lambda s, d, g: _anisotropy("c", _warm(s)[:, None] * velocity(s, d), -1.0)),
     "thermal_frequency_curvature": _stiffness("k", _warm_squared),
     "thermal_bias": Form(lambda s, d, g: _as_rate("b", s, d, _warm(s))),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 17)),
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
-    "thermal_drive_phase": _scaled_drive("drive", "g", _warm, 1j),
+    "thermal_drive_phase": Form(turned_drive),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
     "thermal_drive_gain_curvature": _scaled_drive("drive", "g", _warm_squared, 1.0),
     "thermal_pickoff_gain_curvature": _read_by_axis("g", lambda s, v: _warm_squared(s)[:, None] * v),
-    "thermal_pickoff_phase": _read_by_axis("g", lambda s, v: 1j * _warm(s)[:, None] * v),
-    "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * _velocity(s, d))], _WARM_UP),
-    "thermal_damping_anisotropy_lag": Form(lambda s, d, g: _anisotropy("c", behind(s, g["tau"]) * _velocity(s, d), -1.0), _WARM_UP),
+    "thermal_pickoff_phase": Form(turned_reading),
+    "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * velocity(s, d))], _WARM_UP),
+    "thermal_damping_anisotropy_lag": Form(lambda s, d, g: _anisotropy("c", behind(s, g["tau"]) * velocity(s, d), -1.0), _WARM_UP),
     "thermal_bias_lag": Form(lambda s, d, g: _as_rate("b", s, d, behind(s, g["tau"])[:, 0].real), _WARM_UP),
     "thermal_split_lag": Form(_gradient, _WARM_UP),
     "thermal_drive_gain_lag": Form(lambda s, d, g: _by_axis("drive", "g", behind(s, g["tau"]) * s.drive), _WARM_UP),

@@ -28,6 +28,7 @@ __all__ = [
     "read_at_once",
     "turned",
     "unexplained",
+    "velocity",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -154,6 +155,12 @@ def turned(x: ComplexArray) -> ComplexArray:
     out = np.empty_like(x)
     out[:, 0], out[:, 1] = -x[:, 1], x[:, 0]
     return out
+
+
+def velocity(s: Signals, d: Linear) -> ComplexArray:
+    """What damping acts on, over i omega0: of a wave that turns or grows the velocity is not quite the motion a quarter period on."""
+    p = motion(s, d)
+    return s.once("velocity", d, lambda: np.asarray(p + np.gradient(p, s.row_s, axis=0) / (1j * s.omega0_rad_s)))
 
 
 def read_at_once(parameter: str, s: Signals, d: Linear, f: Callable[[ComplexArray], ComplexArray]) -> Part:

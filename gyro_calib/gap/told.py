@@ -73,7 +73,19 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
         # a short lag is known by the product of the time that was tried and its share alone, and a healthy thermometer has one of its own
         share, tried = told.pop("share"), told["tau"]
         told["tau"] = Quantity(share.value * tried.value, math.hypot(share.sd * tried.value, healthy.get(f"{e.name}.tau", 0.0)), tried.unit)
+    if e.name == "multiplexing_skew":
+        told["tau"] = _of_its_tangent(told["tau"], model.evidence.omega0_rad_s)
     return told
+
+
+def _of_its_tangent(late: Quantity, omega_rad_s: float) -> Quantity:
+    """A time by the tangent of its phase, over the carrier's frequency.
+
+    Rate crosses by ``kappa e^{i phi}``: of that the real part is the angular gain as it is read, and what stands beside is the tangent of
+    phi. 4.25 us of a ring of 15 kHz, 0.4 rad, were 4.50.
+    """
+    tangent = omega_rad_s * late.value
+    return Quantity(math.atan(tangent) / omega_rad_s, late.sd / (1.0 + tangent**2), late.unit)
 
 
 def _settled(model: CampaignModel, effects: tuple[Screened, ...], k: int, key: str) -> _Settled:
