@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..effects import EFFECTS
 from .saturated import is_of_time
 from .screen import Candidate, Screened, Screener
 
@@ -22,14 +23,14 @@ if TYPE_CHECKING:
 
 __all__ = ["memories_of_several", "told_by_several"]
 
-#: how the registry calls what lags behind the temperature
+#: how the registry calls what lags, behind the temperature if it needs one
 _LAG = "_lag"
 
 
 def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Candidate]) -> bool:
-    """Whether an effect that goes with time or lags is still likelier than none without the recording that tells most of it.
+    """Whether an effect that goes with time, or is late, is still likelier than none without the recording that tells most of it.
 
-    Of a lag that may be all there is, if it is one in which the temperature moves.
+    Late behind the temperature, that is; and of such a lag that one may be all there is, if the temperature moves in it.
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Cand
     others : sequence of Candidate
         What else was found.
     """
-    lags = found.name.endswith(_LAG)
+    lags = found.name.endswith(_LAG) and "temperature" in EFFECTS[found.name].needs
     if not (lags or is_of_time(found.name)):
         return True
     for r in _loudest(model, found, model.screener_with(others)):

@@ -1,7 +1,7 @@
 """Forms of what follows the temperature, with what comes along beyond first order: a thermometer is late, and a phase turns.
 
 Of a damping that bends by ``c T^2`` a thermometer that is late by ``tau`` leaves ``2 c tau T dT/dt``, which is what a pick-off's gain of
-``-c tau T^2`` does while it changes: 15 ms of a simulated ring were such a gain, 60 in chi-square beside 146. And a phase ``phi`` takes
+``-c tau T^2`` does while it changes: 19 ms of a simulated ring were such a gain, 60 in chi-square beside 146. And a phase ``phi`` takes
 ``phi^2/2`` of what it turns: of 0.4 mrad/K of a hemisphere's pick-offs that was their gain by the square of the temperature, of 58.
 """
 
@@ -16,7 +16,7 @@ __all__ = ["bent_damping", "turned_drive", "turned_reading"]
 
 #: by how much a thermometer is late that nobody blames, sd [s]
 _LATE_S = 0.1
-#: half a phase per kelvin, sd: what of the phase per kelvin is per square kelvin [1/K]
+#: half of a phase per kelvin, sd [rad/K]: times that phase it is what a reading or a drive is shorter by, per square kelvin
 _HALF_PER_K = 1e-3
 
 
@@ -34,7 +34,7 @@ def bent_damping(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def turned_drive(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Phases of the drives."""
+    """Phases of the drives, each shorter by half its phase's square."""
     warm = s.temperature_k[:, None] * s.drive
     shorter = -_HALF_PER_K * s.temperature_k[:, None] * warm
     return [
@@ -44,7 +44,7 @@ def turned_drive(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def turned_reading(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Phases of the pick-offs."""
+    """Phases of the pick-offs, each shorter by half its phase's square."""
     t = s.temperature_k[:, None]
     return [
         *(read_at_once(f"g_{n}", s, d, lambda v, k=k: one_axis(1j * t * v, k)) for k, n in enumerate("xy")),  # type: ignore[misc]
