@@ -68,6 +68,7 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
         {"k_x": 0.05, "k_y": -0.03},
         lambda r: 1j * by_axis(r, "k_x", "k_y") * (2.0 * np.abs(r.u) ** 2 * r.p + r.u**2 * r.p.conj()),
     ),
+    "drive_stiffness_mean": ({"k_x": 0.05, "k_y": -0.03}, lambda r: 1j * by_axis(r, "k_x", "k_y") * np.abs(r.u) ** 2 * r.p),
     "drive_gap": ({"d_x": 2e-3, "d_y": -3e-3}, lambda r: r.force(by_axis(r, "d_x", "d_y") * across_gap(r))),
     "drive_sag": ({"d": 0.02}, lambda r: r.force(r.size["d"] * (np.abs(r.u) ** 2).sum(axis=1, keepdims=True) * r.u)),
     "drive_cross_nonlinearity": ({"d": 0.02}, lambda r: r.force(r.size["d"] * cubes(r.u)[:, ::-1])),
@@ -98,7 +99,7 @@ def test_without_effects_nothing_is_left_over(plain: Device) -> None:
     assert np.abs(measured(plain, {}).rest).max() < 1e-5
 
 
-CARRIER_ONLY = {"drive_amplitude_phase", "drive_stiffness", "drive_gap", "pickoff_delay", "drive_delay"}
+CARRIER_ONLY = {"drive_amplitude_phase", "drive_stiffness", "drive_stiffness_mean", "drive_gap", "pickoff_delay", "drive_delay"}
 
 
 @compiled_only

@@ -114,7 +114,7 @@ def test_a_stiffness_of_the_drives_may_meet_the_motion_late() -> None:
     """``u^2 x`` at the carrier, the volts turned by one angle and the motion by another: all of it is in the parts to first order."""
     signals, linear = moving(0.0)
     turned_rad, late_rad = 0.03, 0.05
-    parts = {p.parameter: p.signal for p in FORMS["drive_stiffness"].parts(signals, linear, {})}
+    parts = {p.parameter: p.signal for p in FORMS["drive_stiffness"].parts(signals, linear, {"axes": 0.0})}
     u, p = signals.drive * np.exp(1j * turned_rad), signals.pick
     met = p * np.exp(-1j * late_rad)
     whole = 1j * (2.0 * np.abs(u) ** 2 * met + u**2 * met.conj())

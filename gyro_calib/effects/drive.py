@@ -30,6 +30,13 @@ DRIVE = (
         ("duffing", "parametric_pump", "drive_amplitude_phase"),
     ),
     Effect(
+        "drive_stiffness_mean", "Stiffness that follows the mean square of the drive voltage", "drive", (35, 36),
+        pair("k_x k_y", "rad/s/V^2", 0.01, 10.0, "frequency per amplitude squared of the axis' own drive, at any phase"),
+        ("large drive", "amplitudes"), BOTH,
+        "p_j' += i k_j |u_j|^2 p_j; per sample a stiffness proportional to the square of the drive's amplitude",
+        ("duffing", "drive_stiffness", "drive_amplitude_phase"),
+    ),
+    Effect(
         "drive_gap", "Force of a drive that grows as its gap closes: gain by the square of the motion", "drive", (5, 33, 35),
         pair("d_x d_y", "1/V^2", 1e-3, 1.0, "relative gain per squared motion of the axis, in pick-off volts"),
         ("amplitudes",), BOTH,

@@ -21,12 +21,14 @@ def across_gap(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def softened(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier.
+    """Stiffness in proportion to the square of the axis' own drive: ``u^2 x`` at the carrier, or by its mean over a cycle alone.
 
-    Volts that are held for a sample meet a motion that goes on: the drive in the square, or the motion, is half a sample late or is not,
-    as a device has it.
+    A bias that is switched, or drives in a bridge, leave no part at twice the frequency. Volts that are held for a sample meet a motion
+    that goes on: the drive in the square, or the motion, is half a sample late or is not, as a device has it.
     """
     p = motion(s, d)
+    if setting["axes"]:
+        return [Part(f"k_{n}", "flow", one_axis(1j * np.abs(s.drive) ** 2 * p, k)) for k, n in enumerate("xy")]
     direct, pumped = 2.0 * np.abs(s.drive) ** 2 * p, s.drive**2 * p.conj()
     late = {"held": -2.0 * pumped, "met": direct - pumped}
     phases = [beside(f"{of}_{n}", "flow", _HELD_RAD * one_axis(x, k)) for of, x in late.items() for k, n in enumerate("xy")]

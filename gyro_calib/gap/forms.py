@@ -325,7 +325,7 @@ FORMS: dict[str, Form] = {
     "drive_nonlinearity": _driven_cube("d", 1.0),
     "drive_amplitude_phase": _driven_cube("d", 1j),
     "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
-    "drive_stiffness": Form(softened),
+    "drive_stiffness": Form(softened, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "drive_stiffness_mean"),
     "drive_gap": Form(across_gap),
     "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", clipped(s.drive, g["level"]))], limit_settings("drive")),

@@ -18,6 +18,8 @@ from .effect_layout import (
     E_HUM_OMEGA,
     E_HUM_X,
     E_HUM_Y,
+    E_MEAN_X,
+    E_MEAN_Y,
     E_MODE_HALF,
     E_MODE_XX,
     E_MODE_XY,
@@ -143,6 +145,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
     mode_xx, mode_xy, mode_yx, mode_yy = effect[E_MODE_XX], effect[E_MODE_XY], effect[E_MODE_YX], effect[E_MODE_YY]
     read_x, read_y, read_cross = effect[E_READ_X], effect[E_READ_Y], effect[E_READ_CROSS]
     soft_x, soft_y, gap_x, gap_y = effect[E_SOFT_X], effect[E_SOFT_Y], effect[E_GAP_X], effect[E_GAP_Y]
+    mean_x, mean_y = effect[E_MEAN_X], effect[E_MEAN_Y]
     # what is held over a sample stands for the phase in its middle, the motion that it meets is that of its start
     half_c, half_s = math.cos(0.5 * omega * dt), math.sin(0.5 * omega * dt)
     pump_xc, pump_xs, pump_yc, pump_ys = pump
@@ -170,7 +173,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
         readx, ready = _convert(gain * readx, full, lsb), _convert(gain * ready, full, lsb)
         volts[j, 0], volts[j, 1], volts[j, 2], volts[j, 3] = 2.0 * readx * c, -2.0 * readx * s, 2.0 * ready * c, -2.0 * ready * s
         forcex, forcey = wxr * c - wxi * s, wyr * c - wyi * s
-        metx = mety = 0.0
+        metx = mety = powerx = powery = 0.0
         if mode_on:
             mode1, mode2 = mode1 * mode_turn, mode2 * mode_turn
         if j >= settling:
@@ -188,6 +191,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
                 nowx, nowy = nowx * (1.0 + gap_x * hx * hx), nowy * (1.0 + gap_y * hy * hy)
                 agox, agoy = agox * (1.0 + gap_x * qx * qx), agoy * (1.0 + gap_y * qy * qy)
             metx, mety = nowx * half_c + agox * half_s, nowy * half_c + agoy * half_s
+            powerx, powery = nowx * nowx + agox * agox, nowy * nowy + agoy * agoy
             forcex += factor * ((b0 * nowx - b1 * agox) + (b2 * nowy - b3 * agoy))
             forcey += factor * ((b4 * nowx - b5 * agox) + (b6 * nowy - b7 * agoy))
             if mode_on:
@@ -195,8 +199,8 @@ def effect_samples(  # type: ignore[no-untyped-def]
         forcex += (b0 * tone_x + b2 * tone_y) * tone_c - (b1 * tone_x + b3 * tone_y) * tone_s
         forcey += (b4 * tone_x + b6 * tone_y) * tone_c - (b5 * tone_x + b7 * tone_y) * tone_s
         twice_c, twice_s = c * c - s * s, 2.0 * s * c
-        pushx = -(pump_xc * twice_c + pump_xs * twice_s + soft_x * metx * metx) * x
-        pushy = -(pump_yc * twice_c + pump_ys * twice_s + soft_y * mety * mety) * y
+        pushx = -(pump_xc * twice_c + pump_xs * twice_s + soft_x * metx * metx + mean_x * powerx) * x
+        pushy = -(pump_yc * twice_c + pump_ys * twice_s + soft_y * mety * mety + mean_y * powery) * y
         if curved:
             curlx, curly = instant_force(x, y, vx * w, vy * w, nonlinear)
             pushx, pushy = pushx - curlx, pushy - curly

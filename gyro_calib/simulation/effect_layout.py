@@ -21,8 +21,8 @@ E_STRAY, E_READ_X, E_READ_Y, E_READ_CROSS, E_HUM_OMEGA, E_HUM_X, E_HUM_Y = 32, 3
 E_OUT_KEEP, E_OUT_SLOW, E_OUT_SLOW_KEEP, E_SKEW_KEEP, E_SKEW_LEAD, E_GAIN, E_PERIOD, E_HOLD = 42, 43, 44, 45, 46, 47, 48, 49
 # gains of the spurious modes: of the x drive in the x pick-off, of y in x, of x in y, of y in y [1/s]
 E_MODE_XX, E_MODE_XY, E_MODE_YX, E_MODE_YY = 50, 51, 52, 53
-# stiffness per drive volt squared of x and of y [1/s^2/V^2]
-E_SOFT_X, E_SOFT_Y = 54, 55
+# stiffness per drive volt squared of x and of y [1/s^2/V^2]; per amplitude squared
+E_SOFT_X, E_SOFT_Y, E_MEAN_X, E_MEAN_Y = 54, 55, 75, 76
 # delay of the carriers over a control period, x and y; nominal angular frequency [rad/s]
 E_DELAY_X, E_DELAY_Y, E_NOMINAL = 56, 57, 58
 # the same of the drives
@@ -35,7 +35,7 @@ E_PUMP, E_DRIVEN_PUMP = 63, 67
 E_SPUR, E_SPUR_OMEGA = 71, 72
 # gain of the drives by the squared motion of x and of y [1/V^2]
 E_GAP_X, E_GAP_Y = 73, 74
-N_EFFECT = 75
+N_EFFECT = 77
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed

@@ -67,6 +67,9 @@ class SteadyEffects:
         if softness is not None:
             k = np.array([softness["k_x"], softness["k_y"]])
             added = added + 1j * k * (2.0 * np.abs(drive) ** 2 * motion + drive**2 * motion.conj())
+        softness = self._device.effects.get("drive_stiffness_mean")
+        if softness is not None:
+            added = added + 1j * np.array([softness["k_x"], softness["k_y"]]) * np.abs(drive) ** 2 * motion
         pump = self._device.effects.get("driven_pump")
         if pump is not None:
             command = float((motion.conj() @ drive).imag) / max(float(np.linalg.norm(motion)), 1e-12)

@@ -39,6 +39,7 @@ _NOT_MULTIPLEXED = (
     "drive_cross_nonlinearity",
     "drive_sag",
     "drive_stiffness",
+    "drive_stiffness_mean",
     "drive_saturation",
     "drive_dead_zone",
 )
