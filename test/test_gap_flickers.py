@@ -18,6 +18,7 @@ from gyro_calib.gap.gain_flicker import with_gain_flicker
 from gyro_calib.gap.noise_law import NoiseLaw
 from gyro_calib.gap.reference_spur import phase_swing
 from gyro_calib.gap.spectral_effects import spectral_effects
+from gyro_calib.recording.columns import column_index
 from gyro_calib.recording.command import Command, Excitation
 from gyro_calib.recording.recording import Recording
 from gyro_calib.simulation import GyroSimulator
@@ -111,8 +112,8 @@ def test_swing_of_the_reference_is_read_off_phase_and_frequency() -> None:
     assert found[0] == pytest.approx(truth["s"], rel=0.03)
 
 
-def swinging(s: float, hz: float) -> list[Recording]:
-    """Held waves of three amplitudes whose reference swings."""
+def swinging(s: float, hz: float, *, told: bool = False) -> list[Recording]:
+    """Held waves of three amplitudes whose reference swings; ``told``: and whose frequency column says so."""
     made = []
     for r in records(np.random.default_rng(4)):
         data = r.data.copy()
@@ -120,8 +121,24 @@ def swinging(s: float, hz: float) -> list[Recording]:
         for column in (2, 4):
             turned = (data[:, column] + 1j * data[:, column + 1]) * turn
             data[:, column], data[:, column + 1] = turned.real, turned.imag
+        if told:
+            data[:, column_index("ref_freq")] -= s * hz * np.cos(2.0 * np.pi * hz * data[:, 0])
         made.append(replace(r, data=data))
     return made
+
+
+@pytest.mark.parametrize(("size", "hz"), [(2e-5, 31.0), (4e-6, 17.0)])
+def test_a_spur_of_the_loop_that_its_frequency_tells_is_no_hum(size: float, hz: float) -> None:
+    """The motion follows the reference: nothing is added to the pick-offs, and the slow flow holds on the line."""
+    found = spectral_effects(swinging(size, hz, told=True), LINEAR)
+    assert [e.name for e in found.effects] == ["reference_spur"]
+    assert found.effects[0].group == ("reference_spur",)
+    told = found.effects[0].parameters["s"]
+    assert abs(told.value - size) < 3.0 * told.sd
+    left_out = spectral_effects(swinging(size, hz, told=True), LINEAR, ("reference_spur",))
+    assert not left_out.effects
+    assert left_out.unknown is not None
+    assert left_out.unknown.phase == "in quadrature"
 
 
 def test_a_phase_that_swings_is_the_reference_and_a_gain_that_swings_is_not() -> None:

@@ -49,5 +49,6 @@ def stands(found: Screened, louder: float) -> bool:
 
 
 def _moved_by(name: str) -> set[str]:
-    """What moves an effect besides the motion itself."""
-    return {"time", "temperature", "rate"} & set(EFFECTS[name].needs)
+    """What moves an effect besides the motion itself; what is late behind the temperature is still while that is."""
+    moved_by = {"time", "temperature", "rate"} & set(EFFECTS[name].needs)
+    return moved_by - {"time"} if "temperature" in moved_by else moved_by

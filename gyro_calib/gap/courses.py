@@ -208,7 +208,7 @@ def _courses(evidence: CampaignEvidence) -> Iterator[_Course]:
 
 
 def _of_temperature(evidence: CampaignEvidence) -> Iterator[_Course]:
-    """Peaks and steps about temperatures of the campaign's span."""
+    """Peaks, steps and bends about temperatures of the campaign's span."""
     lowest = min(float(r.signals.temperature_k.min()) for r in evidence)
     apart = (max(float(r.signals.temperature_k.max()) for r in evidence) - lowest) / _PLACES_K
     for k in range(2 * _PLACES_K - 1):
@@ -221,6 +221,8 @@ def _of_temperature(evidence: CampaignEvidence) -> Iterator[_Course]:
         else:
             step = (lambda s, about=about: np.tanh((s.temperature_k - about) / (_HALF_WIDTH * apart)),)  # type: ignore[misc]
             yield _Course(f"x times what is another above {degc:.1f} degC", _PLACES_K - 1, step, "temperature")
+            bend = (lambda s, about=about: np.maximum(s.temperature_k - about, 0.0) / apart,)  # type: ignore[misc]
+            yield _Course(f"x times what grows above {degc:.1f} degC alone", _PLACES_K - 1, bend, "temperature")
 
 
 def _polynomial(s: Signals, degree: int, count: int) -> FloatArray:

@@ -1,22 +1,23 @@
-"""A line that goes with the wave: a gain that swings, or the phase of the reference, which its frequency column does not say.
+"""A line that goes with the wave: a gain that swings, or the phase of the reference, whether its frequency column says so or not.
 
 Side bands ``V+`` and ``V-`` of a carrier ``V0`` are those of a gain where ``V+ V- / V0^2`` is above zero, of a phase where it is below. A
 phase-locked loop answers what it sees, and a drive of another phase pulls the motion as much as the damping lets it; the swing of the
-reference is what all three leave, ``(d/dt + 1/tau) arg V + omega - omega0``.
+reference is what all three leave, ``(d/dt + 1/tau) arg V + omega - omega0``. Where nothing is left the column says all of it: the loop
+itself swings, by a spur of its oscillator or of its detector.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..recording.recording import Recording
 from .parts import Linear
-from .spectra import detrended, plain_records, steep_window
+from .spectra import MEDIAN, detrended, plain_records, steep_window
 
-__all__ = ["phase_swing"]
+__all__ = ["phase_swing", "steered_swing"]
 
 ComplexArray = NDArray[np.complex128]
 #: share of the wave that its mean must be: one that turns has no carrier of its own
@@ -25,6 +26,34 @@ _STANDS = 0.9
 _FILTERS = 0.05
 #: frequencies that are tried within a bin to both sides
 _TRIED = 17
+#: share of a line that the log may leave beyond the floor of what it leaves, and that the reference must take; bins to both sides that tell
+#: that floor
+_LEFT, _TURNED, _FLOOR_BINS = 0.2, 0.5, (4, 12)
+
+
+def steered_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: float) -> tuple[float, float] | None:
+    """Amplitude and sd of the reference's phase by its own frequency column [rad], where that says all of a line; else nothing.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    linear : Linear
+    frequency_hz : float
+        Of the line, to a bin of the longest record.
+    """
+    found, moved, turned, left = [], 0.0, 0.0, 0.0
+    for r, axis, carrier in _standing(recordings):
+        steered = detrended(r.ref_omega_rad_s[:, None].astype(np.complex128))[:, 0]
+        f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, steered, hz)))
+        # the line, and what the log leaves of it there and about it
+        moved += abs((2j * np.pi * f - linear.A[axis, axis]) * _line(r, detrended(r.pick)[:, axis], f)) ** 2
+        turned += abs(_line(r, steered, f) * carrier) ** 2
+        left += _left(r, linear, axis, f) - float(np.median([_left(r, linear, axis, hz) for hz in _about(r, f)])) / MEDIAN
+        found.append(2.0 * abs(_line(r, steered, f)) / (2.0 * np.pi * f))
+    if not found or left > _LEFT * moved or turned < _TURNED * moved:
+        return None
+    size = float(np.median(found))
+    return size, float(np.hypot(1.253 * np.std(found) / np.sqrt(len(found)), _FILTERS * size))
 
 
 def phase_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: float) -> tuple[float, float] | None:
@@ -39,15 +68,9 @@ def phase_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: f
         Of the line, to a bin of the longest record.
     """
     found, sign = [], 0.0
-    for r in plain_records(recordings):
-        axis = int(np.argmax(np.mean(np.abs(r.pick) ** 2, axis=0)))
-        v = r.pick[:, axis]
-        carrier = complex(v.mean())
-        if abs(carrier) ** 2 < _STANDS * float(np.mean(np.abs(v) ** 2)):
-            continue
+    for r, axis, carrier in _standing(recordings):
         v = detrended(r.pick)[:, axis]
-        near = frequency_hz + np.linspace(-1.0, 1.0, _TRIED) / r.duration_s
-        f = float(max(near, key=lambda hz: abs(_line(r, v, hz)) + abs(_line(r, v, -hz))))
+        f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, v, hz)) + abs(_line(r, v, -hz)))
         above, below = _line(r, v, f) / carrier, _line(r, v, -f) / carrier
         sign += float((above * below).real)
         steered = 2.0 * _line(r, detrended(r.ref_omega_rad_s[:, None].astype(np.complex128))[:, 0], f)
@@ -58,6 +81,33 @@ def phase_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: f
         return None
     size = float(np.median(found))
     return size, float(np.hypot(1.253 * np.std(found) / np.sqrt(len(found)), _FILTERS * size))
+
+
+def _standing(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, complex]]:
+    """Plain records of a wave that stands along an axis: that axis, and its mean volts."""
+    for r in plain_records(recordings):
+        axis = int(np.argmax(np.mean(np.abs(r.pick) ** 2, axis=0)))
+        carrier = complex(r.pick[:, axis].mean())
+        if abs(carrier) ** 2 >= _STANDS * float(np.mean(np.abs(r.pick[:, axis]) ** 2)):
+            yield r, axis, carrier
+
+
+def _near(r: Recording, frequency_hz: float) -> list[float]:
+    """Frequencies within a bin."""
+    return [float(f) for f in frequency_hz + np.linspace(-1.0, 1.0, _TRIED) / r.duration_s]
+
+
+def _about(r: Recording, frequency_hz: float) -> list[float]:
+    """Bins to both sides beyond the line's own."""
+    first, last = _FLOOR_BINS
+    return [frequency_hz + side * k / r.duration_s for side in (-1, 1) for k in range(first, last + 1)]
+
+
+def _left(r: Recording, linear: Linear, axis: int, away_hz: float) -> float:
+    """Power of what the log leaves of an axis' slow flow at a distance from the carrier."""
+    steered = 1j * (r.ref_omega_rad_s - r.ref_omega_rad_s.mean()) * r.pick[:, axis]
+    pick, drive, turned = (np.array([_line(r, v, away_hz) for v in detrended(x).T]) for x in (r.pick, r.drive, steered[:, None]))
+    return float(abs((2j * np.pi * away_hz * pick - linear.A @ pick - linear.G @ drive)[axis] + turned[0]) ** 2)
 
 
 def _line(r: Recording, x: ComplexArray, away_hz: float) -> complex:

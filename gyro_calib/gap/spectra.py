@@ -19,12 +19,23 @@ from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 from .signals import WARMING_K, smooth_temperature
 
-__all__ = ["RATES_HZ", "PickSpectrum", "detrended", "is_image", "is_plain", "near_line", "pick_spectra", "plain_records", "steep_window"]
+__all__ = [
+    "MEDIAN",
+    "RATES_HZ",
+    "PickSpectrum",
+    "detrended",
+    "is_image",
+    "is_plain",
+    "near_line",
+    "pick_spectra",
+    "plain_records",
+    "steep_window",
+]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: bins on which the floor's median is taken, to both sides; its ratio to the mean of an exponential distribution
-_FLOOR_BINS, _MEDIAN = 30, float(np.log(2.0))
+_FLOOR_BINS, MEDIAN = 30, float(np.log(2.0))
 #: bins about the carrier, and harmonics of a side band or of the wave's turning, that hold signal; nearer by a main lobe there is a place
 #: to see the floor rise
 _LEAST_BINS, _HARMONICS = 12.0, 16.0
@@ -162,7 +173,7 @@ def _spectrum(r: Recording) -> PickSpectrum:
     x = detrended(r.pick)
     power = np.abs(np.fft.fftshift(np.fft.fft(x * steep_window(len(r))[:, None], axis=0), axes=0)) ** 2
     # a running median of one row of numbers is what scipy has a fast way for
-    floor = np.stack([median_filter(of_axis, size=2 * _FLOOR_BINS + 1, mode="wrap") for of_axis in power.T.copy()], axis=1) / _MEDIAN
+    floor = np.stack([median_filter(of_axis, size=2 * _FLOOR_BINS + 1, mode="wrap") for of_axis in power.T.copy()], axis=1) / MEDIAN
     frequency = np.fft.fftshift(np.fft.fftfreq(len(r), 1.0 / r.sample_rate_hz))
     azimuth = wave_coordinates(r).azimuth_rad
     turning = abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * r.duration_s)

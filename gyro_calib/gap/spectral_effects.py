@@ -15,7 +15,7 @@ from .converter_steps import ConverterSteps, converter_steps
 from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
 from .parts import Linear
-from .reference_spur import phase_swing
+from .reference_spur import phase_swing, steered_swing
 from .spectra import near_line, pick_spectra
 from .tones import Tone, find_tone
 
@@ -78,9 +78,12 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
         # lines within a step, and noise that changes with the amplitude, are what such rounding makes
         tone, growth = _beyond_a_step(tone, steps, recordings), None
     effects = []
-    if tone is not None and tone.name not in left_out and not tone.of_wave:
+    steered = steered_swing(recordings, linear, tone.frequency_hz) if tone is not None and tone.name == "mains_pickup" else None
+    if tone is not None and tone.name not in left_out and not tone.of_wave and steered is None:
         effects.append(_tone(tone, left_out))
-    swing = phase_swing(recordings, linear, tone.frequency_hz) if tone is not None and tone.of_wave else None
+    swing = steered
+    if tone is not None and tone.of_wave and swing is None:
+        swing = phase_swing(recordings, linear, tone.frequency_hz)
     if tone is not None and swing is not None and "reference_spur" not in left_out:
         effects.append(_spur(tone, swing))
     # a line that grows with the wave is all of a floor that does
@@ -155,7 +158,7 @@ def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
 
 
 def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unknown | None:
-    if tone is None or not tone.of_wave:
+    if tone is None or not (tone.of_wave or swing is not None):
         return None
     what, phase = ("gain", "in phase") if swing is None else ("phase", "in quadrature")
     form = f"x times a {what} that goes to and fro at {tone.frequency_hz:.3g} Hz"
