@@ -26,6 +26,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="rclpy is not installed"))
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _nothing_kept(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Campaigns that the tests of one file share go with it: gigabytes, and a process that is forked copies their page tables."""
+    yield
+    for kept in vars(request.module).values():
+        if hasattr(kept, "cache_clear") and kept.__module__ == request.module.__name__:
+            kept.cache_clear()
+
+
 @pytest.fixture(scope="session")
 def ros_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """A ROS domain that no other test run on this machine has, with quick discovery."""

@@ -7,21 +7,35 @@ Noise is measured, not assumed: the residual of the same recordings at neighbour
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.optimize import nnls
+from scipy.linalg.lapack import dtrtri
 
 from ..errors import CalibrationRefused
 
-__all__ = ["AXES", "Equation", "LinearFit", "NoiseModel", "fit_axis", "fit_noise"]
+__all__ = ["AXES", "Equation", "LinearFit", "NoiseModel", "fit_axis", "fit_noise", "fit_noises"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 AXES = ("x", "y")
 #: what a further noise term must gain beyond the information criterion, twice the log likelihood: strong evidence
 _EXTRA_TERM = 6.0
+#: which of white noise, flicker, pick-off noise and a random walk a density may hold; rounds of reweighting; what keeps terms that are
+#: alike from being singular
+_DENSITIES, _REWEIGHTED, _RIDGE = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3)), 12, 1e-12
+
+
+def _subsets() -> tuple[NDArray[np.intp], NDArray[np.bool_], FloatArray]:
+    """Every subset of each density's terms: of which density, what is in it, and the diagonal that leaves the rest at zero."""
+    pairs = [(k, s) for k, terms in enumerate(_DENSITIES) for count in range(len(terms)) for s in combinations(terms, count + 1)]
+    inside = np.array([[term in subset for term in range(4)] for _, subset in pairs])
+    return np.array([k for k, _ in pairs]), inside, np.where(inside, _RIDGE, 1.0)[:, :, None] * np.eye(4)
+
+
+_SUBSETS = _subsets()
 
 
 @dataclass(frozen=True)
@@ -53,28 +67,48 @@ def fit_noise(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float, s
     1/duration. ``slope_hz`` is the rms slope of each test function over 2 pi, which is what pick-off noise enters with: near the carrier
     the ends of the window make it far larger than the line.
     """
+    (model,) = fit_noises(frequency_hz, squares[None], lowest_hz, slope_hz)
+    return model
+
+
+def fit_noises(frequency_hz: FloatArray, squares: FloatArray, lowest_hz: float, slope_hz: FloatArray | None = None) -> list[NoiseModel]:
+    """:func:`fit_noise` of several channels at the same lines, ``squares`` of shape (channels, lines)."""
     f = np.maximum(np.abs(frequency_hz), lowest_hz)
     basis = np.column_stack([np.ones_like(f), 1.0 / f, (f if slope_hz is None else slope_hz) ** 2, 1.0 / f**2])
-    best, best_score = np.zeros(4), np.inf
-    for terms in ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3)):
-        coefficients = np.zeros(4)
-        coefficients[list(terms)] = _whittle_fit(basis[:, terms], squares)
-        expected = np.maximum(basis @ coefficients, 1e-300)
-        score = float(np.sum(np.log(expected) + squares / expected)) + len(terms) * (np.log(squares.size) + _EXTRA_TERM)
-        if score < best_score:
-            best, best_score = coefficients, score
-    white, flicker, pickoff, walk = map(float, best)
-    return NoiseModel((white, flicker, pickoff), lowest_hz, walk=walk)
+    fitted = _whittle_fits(basis, squares)
+    expected = np.maximum(fitted @ basis.T, 1e-300)
+    price = np.array([len(terms) for terms in _DENSITIES]) * (np.log(squares.shape[1]) + _EXTRA_TERM)
+    scores = np.sum(np.log(expected) + squares[:, None] / expected, axis=2) + price
+    best = fitted[np.arange(len(fitted)), np.argmin(scores, axis=1)]
+    return [NoiseModel((white, flicker, pickoff), lowest_hz, walk=walk) for white, flicker, pickoff, walk in best.tolist()]
 
 
-def _whittle_fit(basis: FloatArray, squares: FloatArray) -> FloatArray:
-    """Non-negative coefficients by reweighted least squares (the fixed point maximises the Whittle likelihood)."""
-    expected = np.full(squares.size, max(float(squares.mean()), 1e-300))
-    coefficients = np.zeros(basis.shape[1])
-    for _ in range(12):
-        coefficients, _ = nnls(basis / expected[:, None], squares / expected)
-        expected = np.maximum(basis @ coefficients, 1e-4 * float(squares.mean()) + 1e-300)
-    return np.asarray(coefficients)
+def _whittle_fits(basis: FloatArray, squares: FloatArray) -> FloatArray:
+    """Non-negative coefficients of every channel and density, shape (channels, densities, 4).
+
+    By reweighted least squares, whose fixed point maximises the Whittle likelihood.
+    """
+    scale = basis.max(axis=0)
+    basis, mean = basis / scale, np.maximum(squares.mean(axis=1), 1e-300)[:, None, None]
+    expected = np.broadcast_to(mean, (len(squares), len(_DENSITIES), squares.shape[1]))
+    for _ in range(_REWEIGHTED):
+        weighted = basis / expected[..., None]
+        sides = weighted.swapaxes(2, 3)
+        coefficients = _non_negative(sides @ weighted, (sides @ (squares[:, None] / expected)[..., None])[..., 0])
+        expected = np.maximum(coefficients @ basis.T, 1e-4 * mean)
+    return np.asarray(coefficients / scale)
+
+
+def _non_negative(gram: FloatArray, moments: FloatArray) -> FloatArray:
+    """Non-negative least squares of every density: of all its terms' subsets that one whose free solution is positive and explains most."""
+    size = np.sqrt(np.diagonal(gram, axis1=2, axis2=3))
+    gram, moments = gram / (size[..., :, None] * size[..., None, :]), moments / size
+    of, inside, alone = _SUBSETS
+    right = np.where(inside, moments[:, of], 0.0)
+    solved = np.linalg.solve(np.where(inside[:, :, None] & inside[:, None, :], gram[:, of], 0.0) + alone, right[..., None])[..., 0]
+    explained = np.where((solved >= 0.0).all(axis=2), np.sum(solved * right, axis=2), -np.inf)
+    best = np.stack([np.argmax(np.where(of == k, explained, -np.inf), axis=1) for k in range(len(_DENSITIES))], axis=1)
+    return np.asarray(np.maximum(np.take_along_axis(solved, best[..., None], axis=1), 0.0) / size)
 
 
 @dataclass(frozen=True)
@@ -167,7 +201,7 @@ class _Whitener:
             covariances.append(e.gram * np.outer(sd, sd) if e.covariance is None else e.covariance[int(imaginary)])
         if factor.shape[1] > 0:
             covariances = [block_diag(*covariances) + factor @ factor.T]
-        return cls([np.asarray(np.linalg.inv(np.linalg.cholesky(c))) for c in covariances])
+        return cls([np.asarray(dtrtri(np.linalg.cholesky(c), lower=1)[0]) for c in covariances])
 
 
 def _shared_factor(equations: list[Equation]) -> FloatArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
-from .linear_fit import AXES, NoiseModel, fit_noise
+from .linear_fit import AXES, NoiseModel, fit_noises
 from .projection import Projected
 
 __all__ = ["measured_noise", "quiet_lines_of", "resonance_shift", "role_of", "signal_lines_of", "wander_of"]
@@ -48,8 +48,7 @@ def measured_noise(
         left = np.concatenate([quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in own])
         lines = np.concatenate([quiet[i].frequency_hz for i in own])
         lowest = 0.3 / max(recordings[i].duration_s for i in own)
-        models[role, "re"] = fit_noise(lines, left.real**2, lowest)
-        models[role, "im"] = fit_noise(lines, left.imag**2, lowest)
+        models[role, "re"], models[role, "im"] = fit_noises(lines, np.stack([left.real, left.imag]) ** 2, lowest)
     return models
 
 

@@ -16,7 +16,7 @@ from scipy.special import fdtri
 
 from ..errors import CalibrationRefused
 from ..recording.recording import Recording
-from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noise
+from .linear_fit import AXES, Equation, LinearFit, NoiseModel, fit_axis, fit_noises
 from .slow_flow_data import CampaignData, role_of
 from .slow_flow_estimate import SlowFlowEstimate, SlowFlowParameters, TableRow
 from .thermal_terms import THERMAL_TERMS, ThermalTerms
@@ -173,8 +173,7 @@ def _measure_noise(
         residual = np.concatenate([data.quiet[i].lhs[:, axis] - columns[i] @ coefficients for i in members])
         lines = np.concatenate([data.quiet[i].frequency_hz for i in members])
         lowest = 0.3 / max(data.recordings[i].duration_s for i in members)
-        models[role, "re"] = fit_noise(lines, residual.real**2, lowest)
-        models[role, "im"] = fit_noise(lines, residual.imag**2, lowest)
+        models[role, "re"], models[role, "im"] = fit_noises(lines, np.stack([residual.real, residual.imag]) ** 2, lowest)
     return models
 
 

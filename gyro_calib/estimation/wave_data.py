@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
-from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis, fit_noise
+from .linear_fit import Equation, LinearFit, NoiseModel, fit_axis, fit_noise, fit_noises
 from .wave_layout import Layout
 from .wave_lines import quiet_lines, role_of, signal_lines
 from .wave_projection import CHANNELS, Products, WaveProjected, in_wave_frame
@@ -220,9 +220,8 @@ class WaveData:
         noise: Noise = {}
         for i, (lines, slopes, left) in enumerate(self._quiet_residuals(layout, solution)):
             lowest = 0.3 / self.recordings[i].duration_s
-            for k, channel in enumerate(CHANNELS):
-                squares = _part(left, k) ** 2
-                model = fit_noise(lines, squares, lowest, slopes)
+            squares = np.stack([_part(left, k) for k in range(len(CHANNELS))]) ** 2
+            for channel, model in zip(CHANNELS, fit_noises(lines, squares, lowest, slopes), strict=True):
                 # what grows with frequency at the quiet lines hides what does not: as much may be there as they would not have shown
                 floor = _COMMON * model.coefficients[2] * float(lines.min()) ** 2
                 noise[i, channel] = replace(model, coefficients=(max(model.coefficients[0], floor), *model.coefficients[1:]))
@@ -232,10 +231,8 @@ class WaveData:
         """Noise that the fit is weighed with: of all recordings of one role together, what the fit leaves at the signal's lines included.
 
         Only so are the low lines seen, where the force noise lies under the pick-off's at every quiet line. Together, and not far below
-        what
-        all closed-loop recordings have in common, because a recording that looked quiet there by chance would pull the fit onto itself,
-        look
-        quieter still, and so on. The flicker that ``weights`` already allow for is taken out.
+        what all closed-loop recordings have in common, because a recording that looked quiet there by chance would pull the fit onto
+        itself, look quieter still, and so on. The flicker that ``weights`` already allow for is taken out.
         """
         samples, quiet = self._samples(layout, solution, weights), self.quiet_noise(layout, solution)
         longest: dict[str, float] = {}
