@@ -10,10 +10,12 @@ import pytest
 from scipy.optimize import minimize
 from table_samples import table_model
 
+from gyro_calib.gap import settings_together
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.levels import clipped
 from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import _ROUGH_SHARES, _refined
 from gyro_calib.gap.settings_together import places_of, settled_together, with_slopes
@@ -86,6 +88,44 @@ def test_two_times_are_found_together_and_their_intervals_hold_the_truth() -> No
             tau, name = found[k].setting[key], found[k].name
             hit[name] += abs(tau - TRUE_TAUS[name]) < SIGMAS * sd * tau
     assert all(count / DRAWS > 0.88 for count in hit.values()), hit
+
+
+class Accompanied(Toy):
+    """One late gain and what comes with it, as late and of a size of its own."""
+
+    linear, true_tau = None, 24.0
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        super().__init__(rng)
+        rows = sum(size * self.of(self.true_tau)[k] for k, size in enumerate((4000.0, -2500.0)))
+        self.target = [(rows + rng.standard_normal(ROWS)).astype(complex)]
+
+    def of(self, tau_s: float) -> list[np.ndarray]:
+        late = self.shape(DRIVE, tau_s)
+        return [late, late * np.cos(T_S / 30.0)]
+
+    def at_tau(self, tau_s: float) -> Candidate:
+        names = ("g", f"{SKEW}_damped")
+        columns = tuple(Column(n, (x.astype(complex),), (np.zeros(0, complex),)) for n, x in zip(names, self.of(tau_s), strict=True))
+        return Candidate(DRIVE, {"tau": tau_s}, columns, np.full(2, np.inf), 5)
+
+    def fitted(self, chosen: list[Candidate]) -> Solution:
+        columns = [Column(f"{c.name}.{column.name}", column.signal, ()) for c in chosen for column in c.columns]
+        return solve(columns, WHITE.design(columns, 1), WHITE.rows(self.target))
+
+
+def test_a_time_is_found_beside_what_comes_with_its_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What damps as a gradient splits was left out when the time was sought: 5.1 s of 5.9."""
+    toy = Accompanied(np.random.default_rng(3))
+    monkeypatch.setattr(settings_together, "candidate_at", lambda *of, **_: toy.at_tau(of[3]["tau"]))
+    model, begun = cast(CampaignModel, toy), [toy.at_tau(19.0)]
+    found = settled_together(model, begun)
+    fit = toy.fitted(found)
+    (place,) = places_of(found)
+    sd_log = float(np.sqrt(with_slopes(model, found, [place], fit).covariance[-1, -1]))
+    tau = found[0].setting["tau"]
+    assert abs(tau - toy.true_tau) < 3.0 * sd_log * tau < 0.1
+    assert toy.fitted(begun).chi2 > fit.chi2 + 100.0
 
 
 def test_what_has_no_second_setting_stays_as_it_is() -> None:

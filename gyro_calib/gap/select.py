@@ -23,7 +23,7 @@ from .one_recording import told_by_several
 from .relinearise import relinearised
 from .saturated import is_of_time, with_twins
 from .screen import Candidate, Screened, Screener
-from .settings_together import settled_together
+from .settings_together import is_accompanied, settled_together
 from .strangers import (
     BANK_MARGIN,
     LEAST_GAIN,
@@ -149,6 +149,9 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen = [_refined(model, model.screener_with(_without(chosen, k)), c) for k, c in enumerate(chosen)]
     chosen = settled_together(model, chosen)
     chosen, effects = _settled(model, chosen, largest)
+    if any(is_accompanied(c) for c in chosen):
+        chosen = settled_together(model, chosen)
+        effects = _together(model, chosen)
     _, effects = _or_exact_level(model, chosen, effects)
     chosen, effects = _named_all_the_same(model, [e.candidate for e in effects], effects)
     groups = tuple(_alike(model, chosen, k) for k in range(len(chosen)))
