@@ -105,6 +105,7 @@ def test_without_it_in_the_registry_it_is_something_unknown_of_the_right_place()
     assert found.unknown.depends_on == "amplitude"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "sizes"), [("drive_nonlinearity", {"d_x": 0.02, "d_y": 0.02}), ("pickoff_nonlinearity", {"c_x": 0.003, "c_y": 0.003})]
 )

@@ -45,6 +45,7 @@ def test_an_effect_of_all_recordings_counts_without_the_turned_ones() -> None:
     assert seen_at_rest(model, [whole], whole)
 
 
+@pytest.mark.slow
 def test_what_only_the_table_shows_is_no_effect_of_a_device_at_rest() -> None:
     healthy = on_a_table()
     assert any(is_turned(r) for r in healthy)

@@ -122,6 +122,7 @@ def test_a_gain_of_many_lobes_is_found_by_its_form(lobes: int) -> None:
     assert found.unknown.form == f"x cos {lobes}theta, x sin {lobes}theta"
 
 
+@pytest.mark.slow
 def test_of_a_wave_that_never_turns_nothing_goes_with_the_azimuth() -> None:
     model = table_model()
     assert model.bank

@@ -99,6 +99,7 @@ def test_a_tone_within_half_a_step_of_the_drives_is_what_rounding_makes() -> Non
         assert found.near == ((3,) if stays else ())
 
 
+@pytest.mark.slow
 def test_steps_that_no_sample_shows_are_found_by_their_size_alone() -> None:
     """Where something without a name is there; what is better said by it, and a device without steps, have none."""
     volts = max(float(np.abs(r.signals.drive).max()) for r in model().evidence if r.is_wave)

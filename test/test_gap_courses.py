@@ -139,6 +139,7 @@ def test_a_floor_does_not_grow_until_it_holds_a_step() -> None:
     assert "another from" in found.name
 
 
+@pytest.mark.slow
 def test_a_split_that_steps_between_recordings_is_dynamics_in_quadrature() -> None:
     """Recordings of two units that differ by 1 mHz of split, the ones before a moment and the others after it."""
     resonator = replace(unit().resonator, frequency_split_hz=unit().resonator.frequency_split_hz + 1e-3)
@@ -156,6 +157,7 @@ def test_a_split_that_steps_between_recordings_is_dynamics_in_quadrature() -> No
     assert select_effects(model).stranger is not None
 
 
+@pytest.mark.slow
 def test_a_reading_that_is_another_in_every_recording_is_noise() -> None:
     """Of their means: that is where repeats differ, and no model of the device says by how much."""
     rng = np.random.default_rng(3)

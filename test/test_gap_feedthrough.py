@@ -47,12 +47,13 @@ def of_the_reference(r: Recording) -> ComplexArray:
     return np.full((len(r), 2), (0.6 + 0.8j, -0.8 + 0.6j))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "volts", "form"),
     [
         (3e-4, moved, "|p|^2 u, p the motion, u the drives"),
-        pytest.param(5e-4, bent, "u the drives", marks=pytest.mark.slow),
-        pytest.param(3e-4, of_the_reference, "a constant", marks=pytest.mark.slow),
+        (5e-4, bent, "u the drives"),
+        (3e-4, of_the_reference, "a constant"),
     ],
     ids=["a stray capacitance that moves", "a varactor", "the reference, of any phase"],
 )

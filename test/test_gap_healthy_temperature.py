@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 from added_effects import with_effects
 
 from gyro_calib.device import draw_unit, load_device
@@ -34,6 +35,7 @@ def model() -> CampaignModel:
     return look_at(list(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"])
 
 
+@pytest.mark.slow
 def test_a_record_early_by_a_sample_of_the_converters_is_a_healthy_one() -> None:
     """Every ring of an eleventh plant led by 8.3 us, and drives with a memory were found."""
     m = model()

@@ -80,6 +80,7 @@ def test_one_filter_of_drive_and_pickoff_is_no_signal() -> None:
             assert one @ other > 0.95 * np.linalg.norm(one) * np.linalg.norm(other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("apart", "alike"), [(30.0, True), (60.0, False)])
 def test_a_lag_of_the_drives_is_told_from_one_of_the_pickoffs_by_much_only(apart: float, alike: bool) -> None:
     """A pick-off's is made of recorded volts, noise and all."""
@@ -94,6 +95,7 @@ def test_a_lag_of_the_drives_is_told_from_one_of_the_pickoffs_by_much_only(apart
     assert ("pickoff_lag" in group) is alike
 
 
+@pytest.mark.slow
 def test_of_twins_the_noise_is_measured_beside_one() -> None:
     model = healthy("ring")
     names = {c.name.split(".")[0] for c in saturated_columns(model.evidence, model.linear, [], model.candidates, [])}

@@ -20,13 +20,17 @@ def of_axis(r: Recording, axis: str) -> bool:
     return (r.command.oscillator_axis or r.command.excitation.axis) == axis
 
 
+#: each is a model of its own, half a minute: the second one is among the long tests
+AXES = ("x", pytest.param("y", marks=pytest.mark.slow))
+
+
 @cache
 def alone(axis: str) -> CampaignModel:
     whole = on_a_table()
     return looked_at(replace(whole, recordings=tuple(r for r in whole if of_axis(r, axis))))
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("axis", AXES)
 def test_the_axis_at_rest_keeps_its_noise(axis: str) -> None:
     """It fell to a ten-thousandth where damping and gain of that axis were free to be the loop's."""
     model, whole = alone(axis), table_model()
@@ -39,14 +43,14 @@ def test_the_axis_at_rest_keeps_its_noise(axis: str) -> None:
         assert 0.2 < ratio < 5.0
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("axis", AXES)
 def test_the_other_axis_is_of_the_same_design(axis: str) -> None:
     linear, truth, other = alone(axis).linear, table_model().linear, 1 - "xy".index(axis)
     assert abs(linear.G[other, other] / truth.G[other, other] - 1.0) < 0.2
     assert abs(linear.A[other, other].real / truth.A[other, other].real - 1.0) < 2.0
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("axis", AXES)
 def test_a_healthy_axis_has_nothing_that_is_not_in_the_catalogue(axis: str) -> None:
     selection = select_effects(alone(axis))
     assert not selection.effects

@@ -119,6 +119,7 @@ def test_pickoffs_askew_read_another_angular_gain(mismatch: float, mixed: float,
     assert gain_as_read(0.57, {}) == 0.57
 
 
+@pytest.mark.slow
 def test_a_pickoff_that_is_sampled_in_its_turn_is_named_and_patched() -> None:
     """By the response to rate alone; what simulates it reads as late, with the phases that the recordings have."""
     late_s = 2e-6

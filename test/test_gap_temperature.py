@@ -117,6 +117,7 @@ def test_a_sensor_that_is_late_is_said_and_a_resonator_that_is_later_is_not() ->
         assert said_sensor_late(sensor_late_s({"thermal_lag.tau": healthy})) == []
 
 
+@pytest.mark.slow
 def test_without_a_temperature_run_its_effects_are_not_tried() -> None:
     device = draw_unit(load_device("ring_15k"), 5)
     device = replace(device, environment=replace(device.environment, wander_k=0.02))

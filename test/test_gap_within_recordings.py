@@ -170,6 +170,7 @@ def spoilt(campaign: Campaign, frequency_hz: float, size: float) -> Campaign:
     return replace(campaign, recordings=tuple(of_drives))
 
 
+@pytest.mark.slow
 def test_what_is_left_of_a_wave_is_the_force_that_is_not_in_the_log() -> None:
     """A held amplitude loses as much as its drive brings: a share more of the drive is that share of 1/tau."""
     campaign, share = on_a_table(), 1e-3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -45,9 +46,15 @@ def _runs(world: WaveWorld) -> list[Recording]:
     ]
 
 
+@cache
+def plain_runs(kappa_rate: float = 0.0) -> list[Recording]:
+    """Of a gyro without any effect."""
+    return _runs(WaveWorld(*slow_flow(kappa_rate=kappa_rate)))
+
+
 def test_integrated_slow_flow_gives_its_matrices_back_without_averaging_error() -> None:
-    A, G = slow_flow(kappa_rate=5e-5)
-    fit = fit_whole_angle(_runs(WaveWorld(A, G)), 0.084, terms=()).flow.values
+    A, G = slow_flow(kappa_rate=4e-4)
+    fit = fit_whole_angle(plain_runs(4e-4), 0.084, terms=()).flow.values
     # the estimator's equation is of second order, the integrated one of first: (1/T1)^2 / 2 omega0
     np.testing.assert_allclose(fit.G, G, atol=6e-7)
     # the common frequency of both axes is the reference's business
@@ -58,8 +65,7 @@ def test_integrated_slow_flow_gives_its_matrices_back_without_averaging_error() 
 def test_a_constant_rate_goes_into_a_and_leaves_the_forcer_rotation_alone() -> None:
     found = []
     for kappa_rate in (0.0, 4e-4):
-        A, G = slow_flow(kappa_rate=kappa_rate)
-        found.append(fit_whole_angle(_runs(WaveWorld(A, G)), 0.084, terms=()).flow.values)
+        found.append(fit_whole_angle(plain_runs(kappa_rate), 0.084, terms=()).flow.values)
     np.testing.assert_allclose(found[1].G, found[0].G, atol=2e-7)
     turned = (found[1].A - found[0].A).real
     np.testing.assert_allclose(turned, -4e-4 * np.array([[0, -1], [1, 0]]), atol=2e-7)
@@ -134,8 +140,7 @@ def test_a_cubic_pick_off_is_found_named_and_taken_out() -> None:
 
 
 def test_nothing_cubic_is_found_where_there_is_nothing() -> None:
-    A, G = slow_flow()
-    estimate = fit_whole_angle(_noisy(_runs(WaveWorld(A, G))), 0.084)
+    estimate = fit_whole_angle(_noisy(plain_runs()), 0.084)
     assert estimate.terms == {}
 
 
@@ -246,7 +251,7 @@ def test_plans_fit_the_gyro() -> None:
 
 
 @needs_bench
-@pytest.mark.parametrize(("name", "terms"), [("hrg_a", set()), ("hrg_b", {"pickoff_cubic"})])
+@pytest.mark.parametrize(("name", "terms"), [pytest.param("hrg_a", set(), marks=pytest.mark.slow), ("hrg_b", {"pickoff_cubic"})])
 def test_another_plants_recordings(name: str, terms: set[str]) -> None:
     """Drive chain, scale factor, rate and bias of a gyro that is not our simulator, with the effect that its truth names."""
     true = truth(name)
