@@ -24,6 +24,7 @@ def clock_of(model: CampaignModel) -> Screened:
     return found
 
 
+@pytest.mark.slow
 def test_a_clock_beside_that_of_the_reference_is_a_share_of_the_speed() -> None:
     """Taken for none it was a supply that sags: the gain by side bands was another than that of the open drives."""
     campaign = on_a_table()

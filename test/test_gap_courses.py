@@ -127,6 +127,7 @@ def test_a_reading_that_steps_between_recordings_is_unknown_with_its_moment() ->
     assert select_effects(model).stranger is not None
 
 
+@pytest.mark.slow
 def test_a_floor_does_not_grow_until_it_holds_a_step() -> None:
     model = model_of(clean())
     drifts = slow_drifts(model.evidence, model.linear)

@@ -79,6 +79,7 @@ def image_sizes(name: str, frequency_hz: float, plan: Callable[..., Plan]) -> tu
     return model, [model.base.columns[k].name for k in places], sizes, sds
 
 
+@pytest.mark.slow
 def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
     """A ring at half of three times its loops' rate; a phase depends on where its record begins."""
     model, names, sizes, sds = image_sizes("ring_15k", CARRIER_HZ, gap_ftr_plan)

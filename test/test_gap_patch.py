@@ -174,6 +174,7 @@ def simulated(device, seed, rate_rad_s):
     return run_plan(SimulatedInstrument(simulator, rate_rad_s), plan)
 
 
+@pytest.mark.slow
 def test_simulation_of_the_patched_device_shows_the_same_effect_again(tmp_path, capsys):
     unit = replace(draw_unit(load_device("ring_15k"), 7), effects={"pickoff_nonlinearity": SIZES})
     path = write_campaign_h5(tmp_path / "first.h5", simulated(unit, 1, 20.0 * DEG_H))

@@ -54,6 +54,7 @@ def test_the_log_is_mended_by_recording() -> None:
             assert np.median(apart[apart > 0.1 * apart.max()]) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rate_asymmetry", "centrifugal_stiffness"])
 def test_what_depends_on_rate_is_as_certain_as_with_a_right_log(name: str) -> None:
     late, right = (loudest(model(late=late), name) for late in (True, False))

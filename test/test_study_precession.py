@@ -73,6 +73,7 @@ def test_hardware_compensates_and_calms(tmp_path: Any, monkeypatch: pytest.Monke
     assert float(result.figures["product/drift left [deg/h]"][0]) < 0.1
 
 
+@pytest.mark.slow
 def test_gain_ratio_follows_what_a_table_cannot(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gain_ratio, "_TURNS", 20)
     result = _result("gain-ratio", tmp_path)

@@ -27,6 +27,14 @@ FloatArray = NDArray[np.float64]
 #: singular values below this share of the column's norm are directions that the nuisances imitate; of an effect that a healthy device has
 #: as well, and that is larger than a healthy device has it, the nuisance is the effect itself and imitates it but for its prior
 _ABSORBED, _ABSORBED_BY_ITSELF = 1e-4, 1e-6
+#: effects that are nuisances of another name; others bear that of the effect
+_HEALTHY = {
+    "rate_mismatch_im": "multiplexing_skew",
+    "rate_anti_re": "angular_gain_error",
+    "rate_per_k": "thermal_bias",
+    "frequency_per_k2": "thermal_frequency_curvature",
+    "damping_per_k2": "thermal_damping_curvature",
+}
 #: log of a direction's prior range over its standard deviation: sizes of thirty standard deviations are no surprise
 _PRICE = 3.4
 #: factors of the prior's variances that are tried, from one to the next
@@ -133,7 +141,7 @@ class Screener:
 
     def __init__(self, whitener: Whitener, nuisances: Sequence[Column], target: Sequence[NDArray[np.complex128]]) -> None:
         self._whitener, self._count = whitener, len(target)
-        self._healthy = {c.name.split(".")[0] for c in nuisances}
+        self._healthy = {_HEALTHY.get(c.name, c.name.split(".")[0]) for c in nuisances}
         design = whitener.design(nuisances, self._count)
         full = with_priors(nuisances, design)
         self.basis = factored(full, design.shape[0])[0]
