@@ -39,6 +39,9 @@ def screened(name: str, gain: float) -> Screened:
         ("nonlinear_damping", 0.0003, "charge_accumulation", False),
         # what is left of an effect of temperature may lag behind it
         ("thermal_damping_lag", 0.0045, "thermal_damping", False),
+        # and is still while the temperature is: of a late damping 23 000 beside a charge of 16 million
+        ("thermal_damping_lag", 0.0015, "charge_accumulation", True),
+        ("charge_accumulation", 0.0015, "thermal_damping_lag", True),
     ],
 )
 def test_what_first_order_leaves_keeps_to_no_time(name: str, share: float, beside: str, counts: bool) -> None:

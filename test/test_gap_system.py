@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -124,3 +126,26 @@ def test_candidates_screened_together_are_as_each_alone() -> None:
         np.testing.assert_allclose(one.sd, other.sd, rtol=1e-9)
     assert together[0].values == pytest.approx(5.0)
     assert screener.screened([]) == []
+
+
+@pytest.mark.parametrize(
+    ("nuisance", "effect"),
+    [
+        ("rate_mismatch_im", "multiplexing_skew"),
+        ("rate_anti_re", "angular_gain_error"),
+        ("frequency_per_k2", "thermal_frequency_curvature"),
+        ("thermal_split.k_c", "thermal_split"),
+    ],
+)
+def test_a_healthy_nuisance_imitates_its_own_effect_but_for_its_prior(nuisance: str, effect: str) -> None:
+    """Told to a part in 30 000 of what a healthy device may have, and 42 times that: an effect, and of any other name none."""
+    rng, rows, prior_sd, size = np.random.default_rng(7), 40, 1.0, 42.0
+    shape = 3e3 * (rng.standard_normal(rows) + 1j * rng.standard_normal(rows))
+    noise = rng.standard_normal(rows) + 1j * rng.standard_normal(rows)
+    healthy = Column(nuisance, (shape,), (), prior_sd)
+    screener = Screener(Whitener(((np.eye(rows), np.eye(rows)),)), [healthy], [size * shape + noise])
+    found = screener.screen(Candidate(effect, {}, (replace(healthy, name="c", prior_sd=np.inf),), np.array([1e3])))
+    assert found is not None
+    assert abs(found.values[0] - size) < 3.0 * found.sd[0] < 4.0
+    assert found.log_evidence > 500.0
+    assert screener.screen(Candidate("duffing", {}, found.candidate.columns, np.array([1e3]))) is None
