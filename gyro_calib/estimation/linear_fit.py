@@ -88,15 +88,15 @@ def _whittle_fits(basis: FloatArray, squares: FloatArray) -> FloatArray:
 
     By reweighted least squares, whose fixed point maximises the Whittle likelihood.
     """
-    scale = basis.max(axis=0)
-    basis, mean = basis / scale, np.maximum(squares.mean(axis=1), 1e-300)[:, None, None]
-    expected = np.broadcast_to(mean, (len(squares), len(_DENSITIES), squares.shape[1]))
+    scale, mean = basis.max(axis=0), np.maximum(squares.mean(axis=1), 1e-300)[:, None]
+    basis, squares = basis / scale, squares / mean
+    expected = np.ones((len(squares), len(_DENSITIES), squares.shape[1]))
     for _ in range(_REWEIGHTED):
         weighted = basis / expected[..., None]
         sides = weighted.swapaxes(2, 3)
         coefficients = _non_negative(sides @ weighted, (sides @ (squares[:, None] / expected)[..., None])[..., 0])
-        expected = np.maximum(coefficients @ basis.T, 1e-4 * mean)
-    return np.asarray(coefficients / scale)
+        expected = np.maximum(coefficients @ basis.T, 1e-4)
+    return np.asarray(coefficients * mean[..., None] / scale)
 
 
 def _non_negative(gram: FloatArray, moments: FloatArray) -> FloatArray:

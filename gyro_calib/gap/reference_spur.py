@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..recording.recording import Recording
 from .parts import Linear
 from .spectra import MEDIAN, detrended, plain_records, steep_window
+from .tones import left_on_line
 
 __all__ = ["phase_swing", "steered_swing"]
 
@@ -104,10 +105,8 @@ def _about(r: Recording, frequency_hz: float) -> list[float]:
 
 
 def _left(r: Recording, linear: Linear, axis: int, away_hz: float) -> float:
-    """Power of what the log leaves of an axis' slow flow at a distance from the carrier."""
-    steered = 1j * (r.ref_omega_rad_s - r.ref_omega_rad_s.mean()) * r.pick[:, axis]
-    pick, drive, turned = (np.array([_line(r, v, away_hz) for v in detrended(x).T]) for x in (r.pick, r.drive, steered[:, None]))
-    return float(abs((2j * np.pi * away_hz * pick - linear.A @ pick - linear.G @ drive)[axis] + turned[0]) ** 2)
+    """Power of what the log leaves of an axis' slow flow at a distance from the carrier [V^2/s^2]."""
+    return float(abs(left_on_line(r, linear, away_hz)[axis]) ** 2)
 
 
 def _line(r: Recording, x: ComplexArray, away_hz: float) -> complex:

@@ -150,6 +150,7 @@ def select_effects(model: CampaignModel) -> Selection:
     chosen = settled_together(model, chosen)
     chosen, effects = _settled(model, chosen, largest)
     if any(is_accompanied(c) for c in chosen):
+        # what comes with an effect was not there when its time was sought
         chosen = settled_together(model, chosen)
         effects = _together(model, chosen)
     _, effects = _or_exact_level(model, chosen, effects)

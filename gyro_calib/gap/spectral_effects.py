@@ -78,12 +78,9 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
         # lines within a step, and noise that changes with the amplitude, are what such rounding makes
         tone, growth = _beyond_a_step(tone, steps, recordings), None
     effects = []
-    steered = steered_swing(recordings, linear, tone.frequency_hz) if tone is not None and tone.name == "mains_pickup" else None
-    if tone is not None and tone.name not in left_out and not tone.of_wave and steered is None:
+    swing = _swing(tone, recordings, linear)
+    if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None:
         effects.append(_tone(tone, left_out))
-    swing = steered
-    if tone is not None and tone.of_wave and swing is None:
-        swing = phase_swing(recordings, linear, tone.frequency_hz)
     if tone is not None and swing is not None and "reference_spur" not in left_out:
         effects.append(_spur(tone, swing))
     # a line that grows with the wave is all of a floor that does
@@ -152,13 +149,21 @@ def _sampled(recordings: Sequence[Recording]) -> bool:
     return any(channel in (r.raw or {}) for r in recordings for channel in ("x_pick", "y_pick"))
 
 
+def _swing(tone: Tone | None, recordings: Sequence[Recording], linear: Linear) -> tuple[float, float] | None:
+    """Swing of the reference and its sd [rad], if the line is one: as its column says or, of one that goes with the wave, does not."""
+    if tone is None or tone.name != "mains_pickup":
+        return None
+    steered = steered_swing(recordings, linear, tone.frequency_hz)
+    return steered if steered is not None or not tone.of_wave else phase_swing(recordings, linear, tone.frequency_hz)
+
+
 def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
     parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz"), "s": Quantity(*swing, "rad")}
     return found_beside("reference_spur", parameters, 2.0 * tone.log_evidence)
 
 
 def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unknown | None:
-    if tone is None or not (tone.of_wave or swing is not None):
+    if tone is None or (swing is None and not tone.of_wave):
         return None
     what, phase = ("gain", "in phase") if swing is None else ("phase", "in quadrature")
     form = f"x times a {what} that goes to and fro at {tone.frequency_hz:.3g} Hz"

@@ -20,7 +20,7 @@ from .faint_lines import shared_line
 from .parts import Linear
 from .spectra import PickSpectrum, detrended, steep_window
 
-__all__ = ["Tone", "find_tone"]
+__all__ = ["Tone", "find_tone", "left_on_line"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -195,19 +195,23 @@ def _share(r: Recording, away_hz: float) -> float:
     return float(np.linalg.norm(wave @ detrended(r.pick)) / np.sqrt(np.mean(np.sum(np.abs(r.pick) ** 2, axis=1))))
 
 
+def left_on_line(r: Recording, linear: Linear, away_hz: float) -> ComplexArray:
+    """What the slow flow does not explain at a distance from the carrier, shape (2,) [V/s]."""
+    window = steep_window(len(r))
+    wave = window * np.exp(-2j * np.pi * away_hz * (r.t - r.t[0])) / window.sum()
+    swinging = 1j * (r.ref_omega_rad_s - r.ref_omega_rad_s.mean())[:, None] * r.pick
+    pick, drive, steered = (wave @ detrended(x) for x in (r.pick, r.drive, swinging))
+    return np.asarray((2j * np.pi * away_hz * np.eye(2) - linear.A) @ pick + steered - linear.G @ drive)
+
+
 def _volts(r: Recording, away_hz: float, linear: Linear, *, hum: bool) -> FloatArray:
     """Hum on the pick-offs, or drive volts of the tone: what the slow flow does not explain of the line.
 
     A phase-locked loop answers the line with the reference, about which all phases are told.
     """
-    window = steep_window(len(r))
-    swinging = 1j * (r.ref_omega_rad_s - r.ref_omega_rad_s.mean())[:, None] * r.pick
     lines = []
     for f in (away_hz, -away_hz) if hum else (away_hz,):
-        wave = window * np.exp(-2j * np.pi * f * (r.t - r.t[0])) / window.sum()
-        pick, drive, steered = (wave @ detrended(x) for x in (r.pick, r.drive, swinging))
         flow = 2j * np.pi * f * np.eye(2) - linear.A
-        left = flow @ pick + steered - linear.G @ drive
-        lines.append(np.linalg.solve(flow if hum else linear.G, left))
+        lines.append(np.linalg.solve(flow if hum else linear.G, left_on_line(r, linear, f)))
     # a real hum stands to both sides of the carrier, half of it on each
     return np.asarray(np.sum(np.abs(lines), axis=0))
