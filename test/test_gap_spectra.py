@@ -92,6 +92,25 @@ def test_a_gain_that_ripples_is_no_hum() -> None:
     assert not hum.of_wave
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_a_line_that_the_drives_make_is_no_hum(told: bool) -> None:
+    """An amplitude loop with a spur: the wave goes to and fro as the column of its drive says. If that says nothing, it is a hum."""
+    hz, spur_v, found = 20.0, 2e-4, []
+    for r in records(np.random.default_rng(2)):
+        line = spur_v * np.exp(2j * np.pi * hz * r.t)
+        data = r.data.copy()
+        data[:, 2] += (8.0 * line / (2j * np.pi * hz + 1.5)).real
+        data[:, 7] = 1.5 / 8.0 * r.command.setpoints.amplitude_v + told * line.real
+        found.append(replace(r, data=data))
+    said = spectral_effects(found, LINEAR)
+    if not told:
+        assert [e.name for e in said.effects] == ["mains_pickup"]
+        return
+    assert said.effects == ()
+    assert said.unknown is not None
+    assert said.unknown.form.startswith("drives that go to and fro at 20 Hz")
+
+
 @pytest.mark.parametrize("hum_v", [0.0, 2e-5])
 def test_of_a_line_that_the_reference_follows_only_the_hum_is_left(hum_v: float) -> None:
     """A phase-locked loop that swings moves what is read by ``-i (omega - omega0) p``, and its frequency says so."""

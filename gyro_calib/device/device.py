@@ -148,7 +148,7 @@ class Device:
 
     @property
     def loop_latency_s(self) -> float:
-        """Time from the centre of what a control step has measured to the centre of the drive that answers it [s].
+        """Time from the centre of what a control step has measured to the centre of the drive that answers it [s], by design.
 
         Multiplexed: mean over the azimuth. The x drive answers x after five slots and y after three, the y drive x after three and y after
         one; the direction of the drive across the wave lags by ``1 + 4 sin^4 psi + sin^2(2 psi) / 2`` slots.
@@ -156,6 +156,11 @@ class Device:
         n = self.electronics.samples_per_control
         samples = (0.75 * SLOTS * n + 0.5) if self.multiplexing.enabled else 2.0 * n - 0.5
         return samples / self.electronics.adc_rate_hz
+
+    @property
+    def angle_latency_s(self) -> float:
+        """By how much more than the loops' design the drives' direction is late [s]: an effect."""
+        return self.effects.get("angle_latency", {}).get("tau", 0.0)
 
     def drive_factor(self, pick_v: ComplexArray) -> float:
         """Force per volt of the drive at pick-off envelopes over that of its gains: 1 unless the drives are at twice the frequency."""

@@ -47,9 +47,10 @@ def wave_point(
     stiffness_v_per_v: float = 0.0,
     compensation: FloatArray | None = None,
     latency_s: float = 0.0,
+    quadrature: float = 0.0,
     extra: Callable[[ComplexArray], ComplexArray] | None = None,
 ) -> WavePoint:
-    """Solve ``p' = (A - i delta) p + G u + N(p)`` with ``V = p + E u = amplitude n(psi)`` and ``V' = psi' amplitude n_perp``.
+    """Solve ``p' = (A - i delta) p + G u + N(p)`` with ``V = p + E u = amplitude (n(psi) - i q n_perp)``, which turns with psi.
 
     The drive is that of the loops: ``u = C [i u_par_s n + (u_perp_c + i precession) n_perp + CR V]``, its frame late by the latency.
 
@@ -69,6 +70,8 @@ def wave_point(
         C; default: none.
     latency_s : float
         Delay of the drive's frame behind the wave [s].
+    quadrature : float
+        q, which the loops hold, over the amplitude.
     extra : callable, optional
         N(p) [V/s] of the envelopes, shape (2,) -> (2,).
 
@@ -80,16 +83,17 @@ def wave_point(
     psi = 2.0 * azimuth_rad
     along, across = np.array([np.cos(psi), np.sin(psi)]), np.array([-np.sin(psi), np.cos(psi)])
     turn = np.eye(2) if compensation is None else np.asarray(compensation, dtype=float)
-    volts = amplitude_v * along
+    volts = amplitude_v * (along - 1j * quadrature * across)
+    turned = amplitude_v * (across + 1j * quadrature * along)
 
     def residual(unknowns: FloatArray) -> FloatArray:
         push, quadrature, detuning, spin = unknowns
         late = spin * latency_s
         n, m = np.cos(late) * along - np.sin(late) * across, np.sin(late) * along + np.cos(late) * across
         drive = turn @ (1j * push * n + (quadrature + 1j * precession_v) * m + stiffness_v_per_v * volts)
-        drift = spin * turn @ (1j * push * m - (quadrature + 1j * precession_v) * n + stiffness_v_per_v * amplitude_v * across)
+        drift = spin * turn @ (1j * push * m - (quadrature + 1j * precession_v) * n + stiffness_v_per_v * turned)
         pick = volts - E @ drive
-        rest = (A - 1j * detuning * np.eye(2)) @ pick + G @ drive - spin * amplitude_v * across + E @ drift
+        rest = (A - 1j * detuning * np.eye(2)) @ pick + G @ drive - spin * turned + E @ drift
         if extra is not None:
             rest = rest + extra(np.asarray(pick, dtype=np.complex128))
         flat: FloatArray = np.asarray(rest, dtype=np.complex128).view(np.float64)

@@ -12,12 +12,13 @@ from .drive import DRIVE
 from .dynamics import DYNAMICS
 from .effect import Effect
 from .environment import ENVIRONMENT
+from .loops import LOOPS
 from .pickoff import PICKOFF
 
 __all__ = ["EFFECTS", "INSEPARABLE", "checked_sizes", "effect_named"]
 
 #: every effect by name
-EFFECTS: Mapping[str, Effect] = MappingProxyType({e.name: e for e in (*DYNAMICS, *DRIVE, *PICKOFF, *ENVIRONMENT)})
+EFFECTS: Mapping[str, Effect] = MappingProxyType({e.name: e for e in (*DYNAMICS, *DRIVE, *PICKOFF, *ENVIRONMENT, *LOOPS)})
 
 #: what no recording of a device tells apart: a resonator that ages against a good clock, and a clock that drifts beside a good resonator
 INSEPARABLE: Mapping[str, tuple[str, ...]] = MappingProxyType({"frequency_ageing": ("clock_drift",)})

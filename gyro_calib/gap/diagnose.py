@@ -23,6 +23,7 @@ from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
 from .jumps import find_jumps
 from .linear_device import linear_of
+from .loop_effects import LOOP_EFFECTS, loop_effects
 from .loud import loudest
 from .model import CampaignModel, look_at
 from .next_experiment import experiment_for, next_experiment
@@ -94,7 +95,8 @@ def diagnose(
     report(0.93, "what else could be seen")
     lines = standings(model, selection, left_out)
     effects = tuple(_found(model, selection, k, rich, left_out) for k in range(len(selection.effects)))
-    effects, lines = _loudest_first(effects + beside.effects), _in_order(lines + beside.standings)
+    loops = loop_effects(recordings, campaign.factory, left_out)
+    effects, lines = _loudest_first(effects + beside.effects), _in_order(lines + beside.standings + loops.standings)
     unknown = (
         _unknown(selection.stranger)
         or (None if effects else beside.unknown)
@@ -105,10 +107,12 @@ def diagnose(
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
+    # of the slow flow, and of what no name fits in it, what the loops hold says nothing
+    effects += loops.effects
     verdict = _verdict(effects, unknown, lines)
     following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
-    none, something = none_or_unknown(selection, beside.effects, unknown)
+    none, something = none_or_unknown(selection, (*beside.effects, *loops.effects), unknown)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
@@ -318,7 +322,9 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         words.append(f"{e.name} ({size}), or {alike}")
     if all(e.name in SPECTRAL for e in effects):
         return f"Present: {'; and '.join(words)}. It stands in the spectrum beside the carrier and leaves the slow flow alone."
-    if all(e.name in (*SPECTRAL, *SAMPLED) for e in effects):
+    if all(e.name in (*SPECTRAL, *LOOP_EFFECTS) for e in effects):
+        return f"Present: {'; and '.join(words)}. It is in what the loops ask for, and leaves the slow flow alone."
+    if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS) for e in effects):
         return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
     present = f"Present: {'; and '.join(words)}."
     if shrunk.closed_sd > _UNKNOWN_SHARE:

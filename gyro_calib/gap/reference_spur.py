@@ -18,7 +18,7 @@ from .parts import Linear
 from .spectra import MEDIAN, detrended, plain_records, steep_window
 from .tones import left_on_line
 
-__all__ = ["phase_swing", "steered_swing"]
+__all__ = ["is_driven", "phase_swing", "steered_swing"]
 
 ComplexArray = NDArray[np.complex128]
 #: share of the wave that its mean must be: one that turns has no carrier of its own
@@ -46,15 +46,24 @@ def steered_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz:
     for r, axis, carrier in _standing(recordings):
         steered = detrended(r.ref_omega_rad_s[:, None].astype(np.complex128))[:, 0]
         f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, steered, hz)))
-        # the line, and what the log leaves of it there and about it
-        moved += abs((2j * np.pi * f - linear.A[axis, axis]) * _line(r, detrended(r.pick)[:, axis], f)) ** 2
+        moved += _moved(r, linear, axis, f)
         turned += abs(_line(r, steered, f) * carrier) ** 2
-        left += _left(r, linear, axis, f) - float(np.median([_left(r, linear, axis, hz) for hz in _about(r, f)])) / MEDIAN
+        left += _left_of_line(r, linear, axis, f)
         found.append(2.0 * abs(_line(r, steered, f)) / (2.0 * np.pi * f))
     if not found or left > _LEFT * moved or turned < _TURNED * moved:
         return None
     size = float(np.median(found))
     return size, float(np.hypot(1.253 * np.std(found) / np.sqrt(len(found)), _FILTERS * size))
+
+
+def is_driven(recordings: Sequence[Recording], linear: Linear, frequency_hz: float) -> bool:
+    """Whether the log says all of a line that its frequency column does not have: the drives make it, as they are commanded."""
+    moved, left = 0.0, 0.0
+    for r, axis, _ in _standing(recordings):
+        f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, detrended(r.pick)[:, axis], hz)))
+        moved += _moved(r, linear, axis, f)
+        left += _left_of_line(r, linear, axis, f)
+    return moved > 0.0 and left < _LEFT * moved
 
 
 def phase_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: float) -> tuple[float, float] | None:
@@ -102,6 +111,17 @@ def _about(r: Recording, frequency_hz: float) -> list[float]:
     """Bins to both sides beyond the line's own."""
     first, last = _FLOOR_BINS
     return [frequency_hz + side * k / r.duration_s for side in (-1, 1) for k in range(first, last + 1)]
+
+
+def _moved(r: Recording, linear: Linear, axis: int, away_hz: float) -> float:
+    """Power of what must move an axis as its line does [V^2/s^2]."""
+    return float(abs((2j * np.pi * away_hz - linear.A[axis, axis]) * _line(r, detrended(r.pick)[:, axis], away_hz)) ** 2)
+
+
+def _left_of_line(r: Recording, linear: Linear, axis: int, away_hz: float) -> float:
+    """Of that power what the log leaves, over the floor about it."""
+    floor = float(np.median([_left(r, linear, axis, hz) for hz in _about(r, away_hz)])) / MEDIAN
+    return _left(r, linear, axis, away_hz) - floor
 
 
 def _left(r: Recording, linear: Linear, axis: int, away_hz: float) -> float:

@@ -15,7 +15,7 @@ from .converter_steps import ConverterSteps, converter_steps
 from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
 from .parts import Linear
-from .reference_spur import phase_swing, steered_swing
+from .reference_spur import is_driven, phase_swing, steered_swing
 from .spectra import near_line, pick_spectra
 from .tones import Tone, find_tone
 
@@ -79,12 +79,13 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
         tone, growth = _beyond_a_step(tone, steps, recordings), None
     effects = []
     swing = _swing(tone, recordings, linear)
-    if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None:
+    driven = swing is None and tone is not None and tone.name == "mains_pickup" and is_driven(recordings, linear, tone.frequency_hz)
+    if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None and not driven:
         effects.append(_tone(tone, left_out))
     if tone is not None and swing is not None and "reference_spur" not in left_out:
         effects.append(_spur(tone, swing))
     # a line that grows with the wave is all of a floor that does
-    rippling = _rippling_gain(tone, swing)
+    rippling = _driven_line(tone) if driven else _rippling_gain(tone, swing)
     if any(e.name == "reference_spur" for e in effects):
         rippling, growth = None, None
     if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
@@ -160,6 +161,13 @@ def _swing(tone: Tone | None, recordings: Sequence[Recording], linear: Linear) -
 def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
     parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz"), "s": Quantity(*swing, "rad")}
     return found_beside("reference_spur", parameters, 2.0 * tone.log_evidence)
+
+
+def _driven_line(tone: Tone | None) -> Unknown | None:
+    if tone is None:
+        return None
+    form = f"drives that go to and fro at {tone.frequency_hz:.3g} Hz, as their columns say, and no command asks for"
+    return Unknown("electronics", "in phase", form, "time", "reference_spur", 2.0 * tone.log_evidence)
 
 
 def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unknown | None:

@@ -24,6 +24,8 @@ from .control_layout import (
     P_EXCITATION,
     P_FREQUENCY,
     P_FULL_SCALE,
+    P_HELD_PSI,
+    P_HELD_Q,
     P_INDEX,
     P_MODE,
     P_PERIOD,
@@ -81,6 +83,9 @@ def _rebalance_step(state, param, oc, os, cc, cs):  # type: ignore[no-untyped-de
     # secondary modulation asks for a small known motion of the closed axis
     if excitation == EXC_SECONDARY:
         cc -= amplitude * param[P_INDEX] * wave
+    # of x the closed axis is n_perp, of y it is -n_perp
+    side = 1.0 if int(param[P_MODE]) == MODE_FTR_X else -1.0
+    cc, cs = cc - side * param[P_HELD_PSI] * amplitude, cs + side * param[P_HELD_Q] * amplitude
     re = param[P_REB_KP] * cc + state[S_REB_C]
     im = param[P_REB_KP] * cs + state[S_REB_S]
     if abs(re) < full and abs(im) < full:

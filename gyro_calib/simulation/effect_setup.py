@@ -30,6 +30,8 @@ _PLAIN = SLOW_EFFECTS | {
     "pickoff_quantisation",
     "pickoff_gain_flicker",
     "drive_gain_flicker",
+    "loop_error",
+    "angle_latency",
 }
 
 
@@ -62,6 +64,7 @@ def refuse_without_envelope(device: Device) -> None:
         ENVELOPE_EFFECTS
         | SLOW_EFFECTS
         | {"duffing", "duffing_axes", "cubic_cross_stiffness", "cubic_cross_stiffness_axes", "multiplexing_skew"}
+        | {"loop_error", "angle_latency"}
     )
     if device.multiplexing.enabled:  # a drive in slots bends at the volts of its slot
         here -= {name for name in here if name.startswith("drive_") and not name.endswith("_drift")}

@@ -13,6 +13,7 @@ from ..device.wave_point import WavePoint
 from ..recording.command import Command
 from .effect_envelope import bent_drive, bent_pickoff, effect_rate, envelope_constants
 from .effect_rows import SlowEffects, flow_with
+from .loops import held_shares
 
 __all__ = ["SteadyEffects"]
 
@@ -89,22 +90,22 @@ class SteadyEffects:
         """What a carrier that is late has turned by, away from the frequency at which its phase is part of the gains."""
         return np.asarray(np.exp(-1j * late_s * (omega_rad_s - self._device.resonator.omega0_rad_s)), dtype=np.complex128)
 
-    def wave_excess(self, flow: SlowFlow, command: Command, latency_s: float, azimuth_rad: float, last: WavePoint) -> WaveExcess:
+    def wave_excess(self, flow: SlowFlow, command: Command, azimuth_rad: float, last: WavePoint) -> WaveExcess:
         """What the effects add to the balance of a wave, about its state as last found."""
         psi, spin = 2.0 * azimuth_rad, 2.0 * last.theta_rate_rad_s
-        amplitude = command.setpoints.amplitude_v
+        held, amplitude = held_shares(self._device), command.setpoints.amplitude_v
 
         def excess(angle: float) -> ComplexArray:
-            read = amplitude * np.array([math.cos(angle), math.sin(angle)], dtype=np.complex128)
+            read = held.wave(amplitude, angle)
             return self.true_volts(read, flow.omega0_rad_s) - read
 
         step = 1e-4
         volts = excess(psi)
         turning = spin * (excess(psi + step) - excess(psi - step)) / (2.0 * step)
-        late = psi - spin * latency_s
+        late = psi - spin * (self._device.loop_latency_s + self._device.angle_latency_s)
         along, across = np.array([math.cos(late), math.sin(late)]), np.array([-math.sin(late), math.cos(late)])
         drive = 1j * last.amplitude_drive_v * along + (last.quadrature_drive_v + 1j * command.setpoints.virtual_precession_v) * across
-        drive = drive + command.setpoints.stiffness_v_per_v * amplitude * np.array([math.cos(psi), math.sin(psi)])
+        drive = drive + command.setpoints.stiffness_v_per_v * held.wave(amplitude, psi)
         drive = np.asarray(np.reshape(command.compensation, (2, 2)) @ drive, dtype=np.complex128)
         acting = self.drive_excess(drive, flow.omega0_rad_s)
         dynamics = flow.A - 1j * last.detuning_rad_s * np.eye(2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,10 @@ from ..errors import DeviceError
 from ..recording.command import Command
 from . import control_layout as c
 
-__all__ = ["check_command", "hand_over", "initial_loop_state", "loop_parameters", "supported_modes"]
+__all__ = ["HeldShares", "check_command", "hand_over", "held_shares", "initial_loop_state", "loop_parameters", "supported_modes"]
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 _MODES = {
     "ftr_x": c.MODE_FTR_X,
     "ftr_y": c.MODE_FTR_Y,
@@ -37,6 +39,32 @@ _EXCITATIONS = {
 }
 
 
+@dataclass(frozen=True)
+class HeldShares:
+    """What the loops hold: amplitude over its set point, quadrature over the amplitude, modal azimuth of force to rebalance [rad]."""
+
+    amplitude: float
+    quadrature: float
+    azimuth_rad: float
+
+    def volts(self, amplitude_v: float, axis: str) -> ComplexArray:
+        """Pick-off envelopes at which a force-rebalance wave is held [V], shape (2,)."""
+        held = amplitude_v * self.amplitude
+        closed = held * complex(self.azimuth_rad, -self.quadrature)
+        return np.array([held, closed] if axis == "x" else [-closed, held], dtype=np.complex128)
+
+    def wave(self, amplitude_v: float, psi_rad: float) -> ComplexArray:
+        """Pick-off envelopes of a whole-angle wave at an azimuth [V], shape (2,)."""
+        c, s = math.cos(psi_rad), math.sin(psi_rad)
+        return amplitude_v * self.amplitude * np.array([c + 1j * self.quadrature * s, s - 1j * self.quadrature * c], dtype=np.complex128)
+
+
+def held_shares(device: Device) -> HeldShares:
+    """Of a device: 1, 0, 0 where its loops do not err."""
+    error = device.effects.get("loop_error", {})
+    return HeldShares(1.0 + error.get("a", 0.0), error.get("q", 0.0), error.get("psi", 0.0))
+
+
 def supported_modes() -> tuple[str, ...]:
     """Modes whose loops exist."""
     return tuple(_MODES)
@@ -53,7 +81,9 @@ def loop_parameters(device: Device, command: Command) -> FloatArray:
     excitation = command.excitation
     gain = design_gain(device)
     param[c.P_MODE] = _MODES[command.mode]
-    param[c.P_AMPLITUDE] = command.setpoints.amplitude_v
+    held = held_shares(device)
+    param[c.P_AMPLITUDE] = command.setpoints.amplitude_v * held.amplitude
+    param[c.P_HELD_Q], param[c.P_HELD_PSI] = held.quadrature, held.azimuth_rad
     param[c.P_EXCITATION] = _EXCITATIONS[excitation.kind]
     off = command.mode == "loops_off" and excitation.kind not in ("drive", "body")
     param[c.P_FREQUENCY] = device.factory_data.nominal_f0_hz if off else excitation.frequency_hz
@@ -76,6 +106,9 @@ def loop_parameters(device: Device, command: Command) -> FloatArray:
     param[c.P_COMP : c.P_COMP + 4] = command.compensation
     param[c.P_REBALANCE] = command.setpoints.rebalance
     param[c.P_PERIOD] = (SLOTS if device.multiplexing.enabled else 1) / device.electronics.control_rate_hz
+    # a discrete low-pass that keeps a share k of what it was delays by k/(1 - k) periods
+    late_s = device.angle_latency_s
+    param[c.P_LATE] = late_s / (late_s + param[c.P_PERIOD])
     param[c.P_PRECESSION] = command.setpoints.virtual_precession_v
     param[c.P_STIFFNESS] = command.setpoints.stiffness_v_per_v
     param[c.P_GAIN] = command.setpoints.amplitude_gain_v_per_v

@@ -17,6 +17,7 @@ from ..recording.command import Command
 from ..recording.rate import WAVE_MODES
 from .effect_setup import nonlinear_coefficients
 from .effect_truth import SteadyEffects
+from .loops import held_shares
 
 __all__ = ["Truth", "operating_point", "truth_of", "wave_points"]
 
@@ -62,6 +63,8 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
         raise DeviceError(f"Operating point must be of a force-rebalance mode, but got {command.mode!r}.")
     compensation = np.reshape(command.compensation, (2, 2))
     omega = device.slow_flow(rate_rad_s).omega0_rad_s
+    held = held_shares(device)
+    amplitude = held.amplitude * command.setpoints.amplitude_v
     point = None
     effects = SteadyEffects(device, rate_rad_s) if device.effects else None
     for _ in range(_REPEAT if effects is None else _REPEAT_BENT):
@@ -70,9 +73,9 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
             flow = effects.flow(flow, omega)
             factor = 1.0 if point is None else device.drive_factor(point.pick)
             extra = _with_effects(effects, extra, flow, omega, compensation, point, factor)
-            volts = effects.true_volts(command.setpoints.amplitude_v * np.eye(2)["xy".index(axis)], omega)
+            volts = effects.true_volts(held_shares(device).volts(command.setpoints.amplitude_v, axis), omega)
         G, E = flow.G @ compensation, flow.E @ compensation
-        point = ftr_operating_point(flow.A, G, E, command.setpoints.amplitude_v, axis, volts=volts, extra=extra)
+        point = ftr_operating_point(flow.A, G, E, amplitude, axis, volts=volts, extra=extra)
         omega += point.detuning_rad_s
     assert point is not None
     drive = compensation @ point.drive / device.drive_factor(point.pick)
@@ -91,7 +94,7 @@ def wave_points(device: Device, command: Command, rate_rad_s: float = 0.0, azimu
     """
     if command.mode not in WAVE_MODES:
         raise DeviceError(f"Wave points must be of one of the modes {', '.join(WAVE_MODES)}, but got {command.mode!r}.")
-    amplitude = command.setpoints.amplitude_v
+    amplitude = held_shares(device).amplitude * command.setpoints.amplitude_v
     flow = device.slow_flow(rate_rad_s)
     nonlinear = _nonlinear_forces(device, flow.omega0_rad_s)
     effects = SteadyEffects(device, rate_rad_s) if device.effects else None
@@ -104,7 +107,7 @@ def wave_points(device: Device, command: Command, rate_rad_s: float = 0.0, azimu
         point = _wave_at(device, here, command, theta, nonlinear)
         for _ in range(_REPEAT_BENT if effects is not None else 0):
             assert effects is not None
-            excess = effects.wave_excess(here, command, device.loop_latency_s, theta, point)
+            excess = effects.wave_excess(here, command, theta, point)
             point = _wave_at(device, here, command, theta, _sum_of(nonlinear, excess, excess.volts))
         points.append(point)
     return points
@@ -113,16 +116,18 @@ def wave_points(device: Device, command: Command, rate_rad_s: float = 0.0, azimu
 def _wave_at(
     device: Device, flow: SlowFlow, command: Command, theta: float, extra: Callable[[ComplexArray], ComplexArray] | None
 ) -> WavePoint:
+    held = held_shares(device)
     return wave_point(
         flow.A,
         flow.G,
         flow.E,
-        command.setpoints.amplitude_v,
+        held.amplitude * command.setpoints.amplitude_v,
         theta,
         precession_v=command.setpoints.virtual_precession_v,
         stiffness_v_per_v=command.setpoints.stiffness_v_per_v,
         compensation=np.reshape(command.compensation, (2, 2)),
-        latency_s=device.loop_latency_s,
+        latency_s=device.loop_latency_s + device.angle_latency_s,
+        quadrature=held.quadrature,
         extra=extra,
     )
 

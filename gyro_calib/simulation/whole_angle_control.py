@@ -18,12 +18,15 @@ from .control_layout import (
     P_CONSTANT,
     P_FULL_SCALE,
     P_GAIN,
+    P_HELD_Q,
+    P_LATE,
     P_MODE,
     P_PERIOD,
     P_PRECESSION,
     P_QUAD_KI,
     P_QUAD_KP,
     P_THRESHOLD,
+    S_LATE,
     S_LEG,
     S_QUAD,
     S_WAVE,
@@ -46,6 +49,18 @@ def _ring_drive(state, param, a):  # type: ignore[no-untyped-def]
     if state[S_LEG] > 0.0:
         return hold_amplitude(state, param, target - a)
     return clip(param[P_GAIN] * (param[P_AMPLITUDE] if param[P_CONSTANT] > 0.0 else a), param[P_FULL_SCALE])
+
+
+@kernel
+def _direction(state, param):  # type: ignore[no-untyped-def]
+    """Unit vector along which the drives take the wave to be: where it is, or where it was."""
+    nx, ny, keep = state[S_WAVE], state[S_WAVE + 1], param[P_LATE]
+    if keep > 0.0 and state[S_LATE] * nx + state[S_LATE + 1] * ny > 0.0:
+        nx, ny = nx + keep * (state[S_LATE] - nx), ny + keep * (state[S_LATE + 1] - ny)
+        long = math.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / long, ny / long
+    state[S_LATE], state[S_LATE + 1] = nx, ny
+    return nx, ny
 
 
 @kernel
@@ -76,12 +91,13 @@ def whole_angle_step(state, param, xc, xs, yc, ys):  # type: ignore[no-untyped-d
         state[S_WAVE], state[S_WAVE + 1] = (xc * c + xs * s) / a, (yc * c + ys * s) / a
     else:  # no wave to see: build one up where the last was
         q = 0.0
-    nx, ny = state[S_WAVE], state[S_WAVE + 1]
+    nx, ny = _direction(state, param)
     lock_frequency(state, param, error)
     if int(param[P_MODE]) == MODE_RING_DOWN or int(param[P_MODE]) == MODE_RING_UP:
         along = _ring_drive(state, param, a)
     else:
         along = hold_amplitude(state, param, amplitude - a)
+    q -= param[P_HELD_Q] * amplitude
     push = param[P_QUAD_KP] * q + state[S_QUAD]
     if abs(push) < full:
         state[S_QUAD] += param[P_QUAD_KI] * q * param[P_PERIOD]

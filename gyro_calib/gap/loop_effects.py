@@ -1,0 +1,148 @@
+"""Effects of the loops, which the slow flow does not show: what they hold against their set points, and how late their drives turn.
+
+The slow flow takes drives and pick-offs as they were, whatever the loops had in mind. So these stand beside the effects of the fit: a loop
+with an integrator holds its set point to a millionth (three plants, twenty-five devices: 3e-8), and a wave that turns tells the latency of
+its drives (:mod:`gyro_calib.estimation.latency`), of which the control alone has one or two periods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS
+from ..estimation.latency import loop_latency
+from ..estimation.wave import wave_coordinates
+from ..quantity import Quantity
+from ..recording.recording import Recording
+from .diagnosis import FoundEffect, Standing
+from .spectra import plain_records
+from .spectral_effects import found_beside
+
+__all__ = ["LOOP_EFFECTS", "LoopEffects", "loop_effects"]
+
+FloatArray = NDArray[np.float64]
+LOOP_EFFECTS = ("loop_error", "angle_latency")
+
+#: significance of a finding, in standard deviations, and what would have been seen nine times in ten
+_SIGMA = 6.0
+_SEEN = _SIGMA + 1.28
+#: what a loop may leave of its error after it has settled, of the amplitude (sd)
+_SETTLED = 1e-6
+#: stretches of a recording, of which the middle one counts: what still settles is in the first
+_STRETCHES = 8
+#: share of the converter's range from which on a drive is at its end, and no loop can hold what it holds
+_FULL = 0.98
+#: how well the factory knows its latency; what control has where nothing is said, in its periods: from half (a drive at once) to two
+_STATED, _MEAN_PERIODS, _SD_PERIODS, _MOST_PERIODS = 0.1, 1.25, 0.43, 2.0
+
+
+@dataclass(frozen=True)
+class LoopEffects:
+    """Effects that were found, and a line for each that there is."""
+
+    effects: tuple[FoundEffect, ...]
+    standings: tuple[Standing, ...]
+
+
+def loop_effects(recordings: Sequence[Recording], factory: Mapping[str, Any], without: Collection[str] = ()) -> LoopEffects:
+    """What the loops hold, and when.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    factory : mapping
+        ``dac_full_scale_V``, ``loop_latency_s`` and ``control_rate_hz``, where it says them.
+    without : collection of str
+        Effects that the registry shall not hold.
+    """
+    held = _held(recordings, float(factory.get("dac_full_scale_V", np.inf)))
+    found = [_loop_error(held), _angle_latency(recordings, factory)]
+    effects, lines = [], []
+    for name, (effect, seen_from) in zip(LOOP_EFFECTS, found, strict=True):
+        if name in without:
+            continue
+        status = "present" if effect is not None else "excluded" if seen_from is not None else "not testable"
+        lines.append(Standing(name, EFFECTS[name].title, EFFECTS[name].location, status, seen_from, 0.0, 0.0, 0.0))
+        effects += [] if effect is None else [effect]
+    return LoopEffects(tuple(effects), tuple(lines))
+
+
+def _loop_error(held: Mapping[str, FloatArray]) -> tuple[FoundEffect | None, Quantity | None]:
+    """The effect, if a loop misses its set point, and the size that would be seen."""
+    sizes = {name: _middle(values) for name, values in held.items() if values.size}
+    if not sizes:
+        return None, None
+    units = {p.name: p.unit for p in EFFECTS["loop_error"].parameters}
+    missed = {name: Quantity(value, sd, units[name]) for name, (value, sd) in sizes.items()}
+    seen_from = max(q.sd for q in missed.values())
+    if all(abs(q.value) < _SIGMA * q.sd for q in missed.values()):
+        return None, Quantity(_SEEN * seen_from, seen_from, "1")
+    return found_beside("loop_error", missed, _SIGMA**2, harmless=False), None
+
+
+def _held(recordings: Sequence[Recording], full_scale_v: float) -> dict[str, FloatArray]:
+    """What is left of the loops' set points by recording: amplitude less one, quadrature, azimuth of force to rebalance."""
+    found: dict[str, list[float]] = {"a": [], "q": [], "psi": []}
+    for r in plain_records(recordings):
+        amplitude_v = r.command.setpoints.amplitude_v
+        if amplitude_v <= 0.0 or float(np.abs(r.drive).max()) > _FULL * full_scale_v:
+            continue
+        axis = r.command.oscillator_axis
+        if axis is None:
+            wave = wave_coordinates(r)
+            amplitude, quadrature = wave.amplitude_v, wave.quadrature_v / wave.amplitude_v
+        else:
+            k = "xy".index(axis)
+            side = 1.0 if axis == "x" else -1.0
+            amplitude, closed = np.abs(r.pick[:, k]), side * r.pick[:, 1 - k] / r.pick[:, k]
+            quadrature = -closed.imag
+            if r.command.setpoints.rebalance:
+                found["psi"].append(_settled(closed.real))
+        if axis is None or r.command.setpoints.rebalance:
+            found["q"].append(_settled(quadrature))
+        if r.command.excitation.kind == "none":
+            found["a"].append(_settled(amplitude / amplitude_v - 1.0))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _settled(values: FloatArray) -> float:
+    """Mean of the middle one of its stretches."""
+    return float(np.median([stretch.mean() for stretch in np.array_split(values, _STRETCHES)]))
+
+
+def _middle(values: FloatArray) -> tuple[float, float]:
+    """Median of the recordings, and its sd."""
+    middle = float(np.median(values))
+    scatter = 1.4826 * float(np.median(np.abs(values - middle)))
+    return middle, float(np.hypot(_SETTLED, 1.253 * scatter / np.sqrt(values.size)))
+
+
+def _angle_latency(recordings: Sequence[Recording], factory: Mapping[str, Any]) -> tuple[FoundEffect | None, Quantity | None]:
+    """The effect, if the drives' direction is later than control makes it, and the latency that would be seen."""
+    latency, control = loop_latency(recordings), _of_control(recordings, factory)
+    if latency is None or control is None:
+        return None, None
+    expected, most_s = control
+    beyond = (latency.value - most_s) / latency.sd
+    if beyond < _SIGMA:
+        return None, Quantity(most_s - expected.value + _SEEN * latency.sd, latency.sd, "s")
+    excess = Quantity(latency.value - expected.value, float(np.hypot(latency.sd, expected.sd)), "s")
+    return found_beside("angle_latency", {"tau": excess}, _SIGMA**2, harmless=False), None
+
+
+def _of_control(recordings: Sequence[Recording], factory: Mapping[str, Any]) -> tuple[Quantity, float] | None:
+    """Latency of the control itself, and the most that it may have [s]: as the factory says, or by its period."""
+    stated = factory.get("loop_latency_s")
+    if stated is not None:
+        sd = _STATED * float(stated)
+        return Quantity(float(stated), sd, "s"), float(stated) + 2.0 * sd
+    rates = [rate for r in recordings if (rate := r.extras.get("control_rate_hz", factory.get("control_rate_hz"))) is not None]
+    if not rates:
+        return None
+    period_s = 1.0 / float(min(rates))
+    return Quantity(_MEAN_PERIODS * period_s, _SD_PERIODS * period_s, "s"), _MOST_PERIODS * period_s
