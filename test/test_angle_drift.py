@@ -14,6 +14,7 @@ from gyro_calib.device import Device
 from gyro_calib.errors import CalibrationRefused
 from gyro_calib.estimation.angle_drift import damping_pattern, measured_drift
 from gyro_calib.estimation.drive_chain import compensation_matrix, drive_chain_of, iterated_compensation
+from gyro_calib.estimation.held import held_quadrature
 from gyro_calib.estimation.separation import Priors
 from gyro_calib.estimation.whole_angle_fit import fit_whole_angle
 from gyro_calib.estimation.whole_angle_values import WholeAngleValues
@@ -80,6 +81,22 @@ def test_predicted_drift_is_the_measured_one(before: list[Recording], values: Wh
     assert np.ptp(measured.at(theta)) == pytest.approx(2.0 * measured.amplitude_rad_s, rel=0.01)
     assert measured.at(theta).mean() == pytest.approx(middle, rel=0.1)
     assert np.all(np.diag(predicted.covariance) > 0.0)
+
+
+def test_a_quadrature_that_the_loops_hold_turns_the_wave_by_the_split() -> None:
+    """theta' = dw (q/a)/2 cos 4 (theta - theta_w): of millihertz and thousandths several degrees an hour that no compensation takes off."""
+    device = replace(hrg(), effects={"loop_error": {"q": 2e-3}})
+    recordings = precess(device)
+    q = held_quadrature(recordings)
+    assert q == pytest.approx(2e-3, abs=1e-5)
+    measured, ideal = measured_drift(recordings[0], recordings[1], 0.55), identified(recordings, device, device.factory())
+    predicted = WholeAngleValues(
+        ideal.estimate, device.factory(), Priors(), 1.0, Quantity(device.loop_latency_s, 1e-6, "s"), NONE, quadrature=q
+    )
+    near, far = (float(np.linalg.norm(v.drift(NONE).harmonics - measured.harmonics)) for v in (predicted, ideal))
+    # a rate is 2/kappa of it, one way or the other
+    assert far == pytest.approx(2.0 / 0.55 * 0.5 * 2.0 * math.pi * 3e-3 * q, rel=0.03)
+    assert near < 0.05 * far
 
 
 def test_compensating_the_drives_leaves_the_damping_and_compensating_both_leaves_nothing(

@@ -15,6 +15,7 @@ from ..recording.recording import Campaign
 from .compensation import CHAIN_NAMES, IdentifiedChain
 from .drive_chain import DriveChain
 from .gain_ratio import off_axis, ring_gain, scale_factor
+from .held import held_quadrature
 from .latency import loop_latency
 from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Priors
@@ -93,6 +94,7 @@ def calibrate_whole_angle(
         amplitude,
         latency or _stated_latency(campaign.factory),
         np.reshape(np.asarray(waves[-1].command.compensation), (2, 2)),
+        quadrature=held_quadrature(waves),
     )
     # the noise that the fit weighed with already holds what the signal lines show beyond the quiet ones
     derived, covariance = values.propagate(estimate.covariance)

@@ -58,6 +58,8 @@ class WholeAngleValues:
         Of the loops [s].
     compensation : ndarray, shape (2, 2)
         Drive compensation of the mission.
+    quadrature : float
+        That the loops hold, over the amplitude.
     with_wave : bool
         Also the whole-angle mission (slower: a steady state at several azimuths each time).
     """
@@ -71,6 +73,7 @@ class WholeAngleValues:
         latency: Quantity,
         compensation: FloatArray,
         *,
+        quadrature: float = 0.0,
         with_wave: bool = True,
     ) -> None:
         self.estimate, self.priors, self.amplitude = estimate, priors, amplitude_v
@@ -79,7 +82,7 @@ class WholeAngleValues:
         self._difference = _number(factory, "fixed_rate_difference_rad_s"), _number(factory, "fixed_rate_difference_sd_rad_s")
         ratio = _number(factory, "drive_gain_ratio_x_over_y")
         self.drive_ratio = ratio if ratio > 0.0 else None
-        self._latency, self._compensation, self._with_wave = latency, compensation, with_wave
+        self._latency, self._compensation, self._quadrature, self._with_wave = latency, compensation, quadrature, with_wave
         self._extra = _cubic_forces(estimate.terms)
         deviations = Deviations.of(estimate.flow, priors)
         if estimate.rate_response is not None:
@@ -186,7 +189,15 @@ class WholeAngleValues:
                 -2.0
                 / self.kappa
                 * wave_point(
-                    at_rest, G, E, self.amplitude, 0.25 * angle, compensation=compensation, latency_s=latency_s, extra=self._extra
+                    at_rest,
+                    G,
+                    E,
+                    self.amplitude,
+                    0.25 * angle,
+                    compensation=compensation,
+                    latency_s=latency_s,
+                    quadrature=self._quadrature,
+                    extra=self._extra,
                 ).theta_rate_rad_s
                 for angle in angles
             ]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
+from ..estimation.held import settled_mean
 from ..estimation.latency import loop_latency
 from ..estimation.wave import wave_coordinates
 from ..quantity import Quantity
@@ -33,8 +34,6 @@ _SIGMA = 6.0
 _SEEN = _SIGMA + 1.28
 #: what a loop may leave of its error after it has settled, of the amplitude (sd)
 _SETTLED = 1e-6
-#: stretches of a recording, of which the middle one counts: what still settles is in the first
-_STRETCHES = 8
 #: share of the converter's range from which on a drive is at its end, and no loop can hold what it holds
 _FULL = 0.98
 #: how well the factory knows its latency; what control has where nothing is said, in its periods: from half (a drive at once) to two
@@ -102,17 +101,12 @@ def _held(recordings: Sequence[Recording], full_scale_v: float) -> dict[str, Flo
             amplitude, closed = np.abs(r.pick[:, k]), side * r.pick[:, 1 - k] / r.pick[:, k]
             quadrature = -closed.imag
             if r.command.setpoints.rebalance:
-                found["psi"].append(_settled(closed.real))
+                found["psi"].append(settled_mean(closed.real))
         if axis is None or r.command.setpoints.rebalance:
-            found["q"].append(_settled(quadrature))
+            found["q"].append(settled_mean(quadrature))
         if r.command.excitation.kind == "none":
-            found["a"].append(_settled(amplitude / amplitude_v - 1.0))
+            found["a"].append(settled_mean(amplitude / amplitude_v - 1.0))
     return {name: np.array(values) for name, values in found.items()}
-
-
-def _settled(values: FloatArray) -> float:
-    """Mean of the middle one of its stretches."""
-    return float(np.median([stretch.mean() for stretch in np.array_split(values, _STRETCHES)]))
 
 
 def _middle(values: FloatArray) -> tuple[float, float]:
