@@ -1,7 +1,7 @@
 """Effects of the loops, which the slow flow does not show: what they hold against their set points, and how late their drives turn.
 
 The slow flow takes drives and pick-offs as they were, whatever the loops had in mind. So these stand beside the effects of the fit: a loop
-with an integrator holds its set point to a millionth (three plants, twenty-five devices: 3e-8), and a wave that turns tells the latency of
+with an integrator holds its set point to a millionth (of three plants, sixty-eight devices), and a wave that turns tells the latency of
 its drives (:mod:`gyro_calib.estimation.latency`), of which the control alone has one or two periods.
 """
 
