@@ -166,8 +166,8 @@ def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
 def _driven_line(tone: Tone | None) -> Unknown | None:
     if tone is None:
         return None
-    form = f"drives that go to and fro at {tone.frequency_hz:.3g} Hz, as their columns say, and no command asks for"
-    return Unknown("electronics", "in phase", form, "time", "reference_spur", 2.0 * tone.log_evidence)
+    form = f"drives that go to and fro at {tone.frequency_hz:.3g} Hz, by a command of their own or by what they answer"
+    return Unknown("electronics or environment", "in phase", form, "time", "reference_spur", 2.0 * tone.log_evidence)
 
 
 def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unknown | None:
