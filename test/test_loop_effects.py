@@ -137,4 +137,5 @@ def test_what_a_free_wave_holds_and_how_late_it_is_are_found() -> None:
     assert found["loop_error"]["a"].value == pytest.approx(-1e-3, abs=4.0 * found["loop_error"]["a"].sd)
     # without a word of the control nobody knows what is late
     bare = [replace(r, extras={}) for r in recordings]
-    assert _status(loop_effects(bare, {}))["angle_latency"] == "not testable"
+    for nothing in ({}, {"loop_latency_s": None, "control_rate_hz": 0.0, "dac_full_scale_V": "5 V"}):
+        assert _status(loop_effects(bare, nothing)) == {"loop_error": "present", "angle_latency": "not testable"}

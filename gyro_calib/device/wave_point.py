@@ -87,11 +87,11 @@ def wave_point(
     turned = amplitude_v * (across + 1j * quadrature * along)
 
     def residual(unknowns: FloatArray) -> FloatArray:
-        push, quadrature, detuning, spin = unknowns
+        push, pull, detuning, spin = unknowns
         late = spin * latency_s
         n, m = np.cos(late) * along - np.sin(late) * across, np.sin(late) * along + np.cos(late) * across
-        drive = turn @ (1j * push * n + (quadrature + 1j * precession_v) * m + stiffness_v_per_v * volts)
-        drift = spin * turn @ (1j * push * m - (quadrature + 1j * precession_v) * n + stiffness_v_per_v * turned)
+        drive = turn @ (1j * push * n + (pull + 1j * precession_v) * m + stiffness_v_per_v * volts)
+        drift = spin * turn @ (1j * push * m - (pull + 1j * precession_v) * n + stiffness_v_per_v * turned)
         pick = volts - E @ drive
         rest = (A - 1j * detuning * np.eye(2)) @ pick + G @ drive - spin * turned + E @ drift
         if extra is not None:

@@ -1,7 +1,7 @@
 """Effects of the loops, which the slow flow does not show: what they hold against their set points, and how late their drives turn.
 
 The slow flow takes drives and pick-offs as they were, whatever the loops had in mind. So these stand beside the effects of the fit: a loop
-with an integrator holds its set point to a millionth (of three plants, sixty-eight devices), and a wave that turns tells the latency of
+with an integrator holds its set point (sixty-eight devices of three plants: to 6e-6), and a wave that turns tells the latency of
 its drives (:mod:`gyro_calib.estimation.latency`), of which the control alone has one or two periods.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
+from ..estimation.factory_values import factory_value
 from ..estimation.held import settled_mean
 from ..estimation.latency import loop_latency
 from ..estimation.wave import wave_coordinates
@@ -59,7 +60,7 @@ def loop_effects(recordings: Sequence[Recording], factory: Mapping[str, Any], wi
     without : collection of str
         Effects that the registry shall not hold.
     """
-    held = _held(recordings, float(factory.get("dac_full_scale_V", np.inf)))
+    held = _held(recordings, factory_value(factory, "dac_full_scale_V") or np.inf)
     found = [_loop_error(held), _angle_latency(recordings, factory)]
     effects, lines = [], []
     for name, (effect, seen_from) in zip(LOOP_EFFECTS, found, strict=True):
@@ -78,9 +79,9 @@ def _loop_error(held: Mapping[str, FloatArray]) -> tuple[FoundEffect | None, Qua
         return None, None
     units = {p.name: p.unit for p in EFFECTS["loop_error"].parameters}
     missed = {name: Quantity(value, sd, units[name]) for name, (value, sd) in sizes.items()}
-    seen_from = max(q.sd for q in missed.values())
+    worst_sd = max(q.sd for q in missed.values())
     if all(abs(q.value) < _SIGMA * q.sd for q in missed.values()):
-        return None, Quantity(_SEEN * seen_from, seen_from, "1")
+        return None, Quantity(_SEEN * worst_sd, worst_sd, "1")
     return found_beside("loop_error", missed, _SIGMA**2, harmless=False), None
 
 
@@ -131,12 +132,12 @@ def _angle_latency(recordings: Sequence[Recording], factory: Mapping[str, Any]) 
 
 def _of_control(recordings: Sequence[Recording], factory: Mapping[str, Any]) -> tuple[Quantity, float] | None:
     """Latency of the control itself, and the most that it may have [s]: as the factory says, or by its period."""
-    stated = factory.get("loop_latency_s")
-    if stated is not None:
-        sd = _STATED * float(stated)
-        return Quantity(float(stated), sd, "s"), float(stated) + 2.0 * sd
-    rates = [rate for r in recordings if (rate := r.extras.get("control_rate_hz", factory.get("control_rate_hz"))) is not None]
+    stated = factory_value(factory, "loop_latency_s")
+    if stated > 0.0:
+        sd = _STATED * stated
+        return Quantity(stated, sd, "s"), stated + 2.0 * sd
+    rates = [rate for of in (*(r.extras for r in recordings), factory) if (rate := factory_value(of, "control_rate_hz")) > 0.0]
     if not rates:
         return None
-    period_s = 1.0 / float(min(rates))
+    period_s = 1.0 / min(rates)
     return Quantity(_MEAN_PERIODS * period_s, _SD_PERIODS * period_s, "s"), _MOST_PERIODS * period_s

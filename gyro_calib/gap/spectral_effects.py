@@ -44,7 +44,7 @@ class SpectralEffects:
     ----------
     effects : tuple of FoundEffect
     unknown : Unknown or None
-        A gain that goes to and fro; noise across the phase that grows with the amplitude, a clock's.
+        A gain, or drives, that go to and fro; noise across the phase that grows with the amplitude, a clock's.
     standings : tuple of Standing
         One line per effect of this kind.
     products : float
@@ -79,13 +79,13 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
         tone, growth = _beyond_a_step(tone, steps, recordings), None
     effects = []
     swing = _swing(tone, recordings, linear)
-    driven = swing is None and tone is not None and tone.name == "mains_pickup" and is_driven(recordings, linear, tone.frequency_hz)
-    if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None and not driven:
+    driven = _driven_line(tone, recordings, linear) if swing is None else None
+    if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None and driven is None:
         effects.append(_tone(tone, left_out))
     if tone is not None and swing is not None and "reference_spur" not in left_out:
         effects.append(_spur(tone, swing))
     # a line that grows with the wave is all of a floor that does
-    rippling = _driven_line(tone) if driven else _rippling_gain(tone, swing)
+    rippling = driven or _rippling_gain(tone, swing)
     if any(e.name == "reference_spur" for e in effects):
         rippling, growth = None, None
     if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
@@ -163,8 +163,9 @@ def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
     return found_beside("reference_spur", parameters, 2.0 * tone.log_evidence)
 
 
-def _driven_line(tone: Tone | None) -> Unknown | None:
-    if tone is None:
+def _driven_line(tone: Tone | None, recordings: Sequence[Recording], linear: Linear) -> Unknown | None:
+    """What the columns of the drives say all of."""
+    if tone is None or tone.name != "mains_pickup" or not is_driven(recordings, linear, tone.frequency_hz):
         return None
     form = f"drives that go to and fro at {tone.frequency_hz:.3g} Hz, by a command of their own or by what they answer"
     return Unknown("electronics or environment", "in phase", form, "time", "reference_spur", 2.0 * tone.log_evidence)

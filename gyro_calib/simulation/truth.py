@@ -73,7 +73,7 @@ def operating_point(device: Device, command: Command, rate_rad_s: float) -> Oper
             flow = effects.flow(flow, omega)
             factor = 1.0 if point is None else device.drive_factor(point.pick)
             extra = _with_effects(effects, extra, flow, omega, compensation, point, factor)
-            volts = effects.true_volts(held_shares(device).volts(command.setpoints.amplitude_v, axis), omega)
+            volts = effects.true_volts(held.volts(command.setpoints.amplitude_v, axis), omega)
         G, E = flow.G @ compensation, flow.E @ compensation
         point = ftr_operating_point(flow.A, G, E, amplitude, axis, volts=volts, extra=extra)
         omega += point.detuning_rad_s
