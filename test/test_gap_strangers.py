@@ -229,7 +229,7 @@ def test_an_effect_whose_form_is_short_of_a_thousandth_keeps_its_name() -> None:
 def test_nearest_is_what_shows_the_same_not_what_explains_most() -> None:
     """Beside a Duffing far louder than it."""
     model = table_model()
-    (drift,), duffing = model.candidates["drive_gain_drift"], model.candidates["duffing"][0]
+    drift, duffing = model.candidates["drive_gain_drift"][0], model.candidates["duffing"][0]
     loud = with_effects(model, [*duffing.columns[:1], *drift.columns[:1]], [200.0, 15.0])
     unnamed = next(c for a, c in loud.bank if (a.location, a.phase, a.form) == ("drive", "in phase", "t x, other on each axis"))
     assert max(loud.screener.screened(c for tried in loud.candidates.values() for c in tried), key=lambda s: s.gain).name == "duffing"

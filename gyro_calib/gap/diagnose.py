@@ -17,6 +17,7 @@ from ..units import DEG_H, PPM
 from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
+from .drifts import said_course
 from .flow_left import flows_left
 from .gain_flicker import with_gain_flicker
 from .gap_map import gap_map
@@ -162,7 +163,7 @@ def _found(model: CampaignModel, selection: Selection, k: int, rich: Solution, l
     name = registry_name(e.name, e.candidate.setting)
     return FoundEffect(
         name=e.name,
-        title=EFFECTS[e.name].title,
+        title=EFFECTS[e.name].title + said_course(e.candidate.setting),
         group=(*group, *inseparable),
         probability=selection.probabilities[k],
         parameters=told_sizes(model, selection.effects, k, rich),

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .drifts import drift_settings, drifted
 from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
@@ -300,6 +301,18 @@ def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray
     return Form(parts)
 
 
+def _drifting_drive(factor: complex) -> Form:
+    return Form(lambda s, d, g: _by_axis("drive", "g", factor * drifted(s, g)[:, None] * s.drive), drift_settings)
+
+
+def _drifting_reading(factor: complex) -> Form:
+    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+        x = factor * drifted(s, setting)[:, None]
+        return [read_at_once(f"g_{n}", s, d, lambda v, k=k: one_axis(x * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+
+    return Form(parts, drift_settings)
+
+
 def _rate(s: Signals) -> FloatArray:
     return s.rate_rad_s
 
@@ -366,14 +379,14 @@ FORMS: dict[str, Form] = {
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
     "thermal_feedthrough": Form(_fed_by_warmth),
     "frequency_ageing": _stiffness("k", _late),
-    "damping_drift": _damping("c", _late),
-    "bias_drift": Form(lambda s, d, g: _as_rate("b", s, d, _late(s))),
+    "damping_drift": Form(lambda s, d, g: [Part("c", "flow", -drifted(s, g)[:, None] * velocity(s, d))], drift_settings),
+    "bias_drift": Form(lambda s, d, g: _as_rate("b", s, d, drifted(s, g)), drift_settings),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
-    "drive_gain_drift": _scaled_drive("drive", "g", _late, 1.0),
-    "drive_phase_drift": _scaled_drive("drive", "g", _late, 1j),
-    "pickoff_gain_drift": _read_by_axis("g", lambda s, v: _late(s)[:, None] * v),
-    "pickoff_phase_drift": _read_by_axis("g", lambda s, v: 1j * _late(s)[:, None] * v),
+    "drive_gain_drift": _drifting_drive(1.0),
+    "drive_phase_drift": _drifting_drive(1j),
+    "pickoff_gain_drift": _drifting_reading(1.0),
+    "pickoff_phase_drift": _drifting_reading(1j),
     "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),
     "rate_dependent_damping": _damping("c", _rate),
     "angular_gain_error": Form(lambda s, d, g: _as_rate("e", s, d, s.rate_rad_s)),

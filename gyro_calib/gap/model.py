@@ -17,6 +17,7 @@ from .anonymous import HEATED, Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
+from .drifts import straight
 from .evidence import CHANNELS, CampaignEvidence
 from .flickers import flickers
 from .floors import course_beside_floors, hidden_by_floors
@@ -191,7 +192,8 @@ def look_at(
     report(0.75, "noise")
     plain = plain_noise(evidence, nuisances, angular_gain)
     drifts = slow_drifts(evidence, linear, flickers(evidence, linear, plain.noise))
-    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain)
+    told = straight(candidates)
+    whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, told, bank, angular_gain, most, plain)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     course = courses.best(screener, whitener)
     # what goes with time is no noise of repeats, nor a floor
@@ -203,13 +205,13 @@ def look_at(
         candidate = _course_of_warming(evidence, courses, noise, excess, held, angular_gain)
     found = [] if candidate is None else [candidate]
     if found:
-        whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, found)
+        whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, told, bank, angular_gain, most, plain, found)
     # and what stands still may have made a floor what it seems
     named = [c for name, tried in candidates.items() if not is_of_time(name) for c in tried]
     beside = [*held, *effect_columns(found)]
     if hidden := hidden_by_floors(named, whitener, target_of(evidence, angular_gain), beside, drifts):
         found += hidden
-        whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, candidates, bank, angular_gain, most, plain, found)
+        whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, told, bank, angular_gain, most, plain, found)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
     report(1.0, "noise")

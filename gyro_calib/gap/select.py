@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..effects import EFFECTS
 from .at_rest import seen_at_rest
 from .candidates import candidate_at, registry_name
 from .counting import beyond_complete, enough, stands
+from .drifts import COURSES, best_course
 from .exact_levels import best_exact_level
 from .floors import beat_their_floors
 from .model import CampaignModel
@@ -52,7 +54,7 @@ _LOUDEST = 1.3
 _EVIDENCES, _TRUST = (30.0, 1000.0), (0.75, 0.92)
 _GOLDEN_STEPS = 8
 #: settings that are refined, rounds of those that have two, and how far beyond the ends of its grid one may lie
-_REFINED, _REFINEMENTS = ("level", "tau", "separation_hz", "half_width_hz"), 3
+_REFINED, _REFINEMENTS = ("level", "tau", "separation_hz", "half_width_hz", *COURSES), 3
 _BEYOND = {"half_width_hz": (4.0, 4.0), "tau": (1.0, 3.0)}
 #: effects that are refined before one is taken: those of so much of the best one's log evidence, and how many at most
 _NEAR, _CONTENDERS = 0.75, 4
@@ -134,8 +136,7 @@ def best_of_each(screener: Screener, pool: Mapping[str, Sequence[Candidate]]) ->
 
 def select_effects(model: CampaignModel) -> Selection:
     """Select, name what cannot be told apart, and say whether something unnamed is there."""
-    first = _ranked(model, ())
-    chosen: list[Candidate] = []
+    first, chosen = _ranked(model, ()), list[Candidate]()
     ranked = first if not first or enough(first[0]) else _between_settings(model, first)
     largest = ranked[0] if ranked else None
     while (counting := _counting(model, chosen, ranked, largest)) and len(chosen) < _MOST_EFFECTS:
@@ -146,7 +147,8 @@ def select_effects(model: CampaignModel) -> Selection:
     if not chosen:
         chosen = _pair(model, first)
     chosen = _improved(model, chosen, largest)
-    chosen = [_refined(model, model.screener_with(_without(chosen, k)), c) for k, c in enumerate(chosen)]
+    beside = [model.screener_with(_without(chosen, k)) for k in range(len(chosen))]
+    chosen = [best_course(b, model.candidates[c.name], c, partial(_refined, model, b)) for b, c in zip(beside, chosen, strict=True)]
     chosen = settled_together(model, chosen)
     chosen, effects = _settled(model, chosen, largest)
     if any(is_accompanied(c) for c in chosen):

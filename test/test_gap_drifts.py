@@ -1,0 +1,55 @@
+"""Drifts whose course is bent keep their name: a leak that fills its volume, ageing that goes with the log of time."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_gap_courses import clean, with_reading_gain
+
+from gyro_calib.gap import diagnose
+from gyro_calib.gap.drifts import drift_settings, drifted, said_course
+
+SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401))
+
+
+def test_a_course_is_the_time_of_the_campaign_at_its_end() -> None:
+    straight, *bent = drift_settings([SIGNALS])
+    np.testing.assert_array_equal(drifted(SIGNALS, straight), SIGNALS.time_s)
+    assert said_course(straight) == ""
+    for setting in bent:
+        course = drifted(SIGNALS, setting)
+        assert course[0] == 0.0
+        assert course[-1] == pytest.approx(400.0)
+        # it grows all the while, ever more slowly
+        assert np.all(np.diff(course) > 0.0)
+        assert np.all(np.diff(course, 2) < 0.0)
+        assert said_course(setting)
+
+
+def test_courses_are_those_of_a_leak_and_of_ageing() -> None:
+    t = SIGNALS.time_s
+    leak = drifted(SIGNALS, {"saturates_s": 80.0, "end_s": 400.0})
+    np.testing.assert_allclose(leak / leak[-1], (1.0 - np.exp(-t / 80.0)) / (1.0 - math.exp(-5.0)))
+    ageing = drifted(SIGNALS, {"slows_s": 8.0, "end_s": 400.0})
+    np.testing.assert_allclose(ageing / ageing[-1], np.log(1.0 + t / 8.0) / math.log(51.0), atol=1e-14)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "time_s"), [("saturates", 70.0), ("slows", 8.0)])
+def test_a_gain_that_drifts_along_a_bent_course_has_its_name(words: str, time_s: float) -> None:
+    """Without the courses a fourteenth plant's ageing by the log of time was another drive from 106 s on, without a name."""
+    start = min(float(r.t[0]) for r in clean())
+    end = max(float(r.t[-1]) for r in clean()) - start
+
+    def gain(t: np.ndarray) -> np.ndarray:
+        return np.asarray(-np.expm1(-t / time_s) if words == "saturates" else np.log1p(t / time_s))
+
+    found = diagnose(with_reading_gain(lambda r, begun: 3e-3 * gain(r.t - begun)))
+    assert [e.name for e in found.effects] == ["pickoff_gain_drift"]
+    assert words in found.effects[0].title
+    size = found.effects[0].parameters["g_y"]
+    assert abs(size.value - 3e-3 * float(gain(np.array([end]))[0]) / end) < 0.02 * abs(size.value)
