@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.flow_left import FlowLeft
@@ -14,8 +15,8 @@ from gyro_calib.gap.steady_swings import find_steady_swing
 from gyro_calib.gap.swings import find_swing
 
 ROW_S, ROWS, COUNT = 0.01, 900, 12
-#: every seventeen seconds a recording of nine
-STARTS_S = 3.21 + 17.0 * np.arange(COUNT)
+#: about every seventeen seconds a recording of nine
+STARTS_S, LABELS = 3.21 + 17.0 * np.arange(COUNT) + 3.0 * np.sin(7.0 * np.arange(COUNT)), [f"static_{k}" for k in range(COUNT)]
 #: no harmonic of it is folded near what swings
 CARRIER_HZ = 15030.0
 SWING_HZ = 0.43
@@ -30,8 +31,10 @@ def flows(rng: np.random.Generator) -> list[FlowLeft]:
         return FORCED * rng.standard_normal(ROWS) + WALK * np.cumsum(rng.standard_normal(ROWS))
 
     return [
-        FlowLeft(f"static_{k}", ("ftr_x", float(k % 2), False), ROW_S, CARRIER_HZ, 0.0, 0.0, {c: noise() for c in CHANNELS}, start_s)
-        for k, start_s in enumerate(STARTS_S)
+        FlowLeft(
+            label, ("ftr_x", float(k % 2), False), ROW_S, CARRIER_HZ, 0.0, 0.0, {c: noise() for c in CHANNELS}, np.zeros(ROWS), start_s
+        )
+        for k, (label, start_s) in enumerate(zip(LABELS, STARTS_S, strict=True))
     ]
 
 
@@ -107,3 +110,62 @@ def test_few_recordings_tell_nothing() -> None:
     rocked = swinging(flows(np.random.default_rng(4)), "precession", 1e-4, np.full(COUNT, 0.6))
     assert find_steady_swing(rocked) is not None
     assert find_steady_swing(rocked[:5]) is None
+
+
+def test_size_is_told_with_its_sd() -> None:
+    sizes = []
+    for seed in range(12):
+        found = find_steady_swing(swinging(flows(np.random.default_rng(seed)), "precession", 8e-6, np.full(COUNT, 0.6)))
+        assert found is not None
+        sizes.append((found.size - 8e-6) / found.size_sd)
+    assert abs(float(np.mean(sizes))) < 1.0
+    assert 0.3 < float(np.std(sizes)) < 2.0
+
+
+@pytest.mark.parametrize("excited_hz", [0.1, 0.5, 1.0])
+def test_a_side_band_hides_no_swing_between_its_harmonics(excited_hz: float) -> None:
+    """Its harmonics are a thousand times as loud: a reference's spur at 3.2 Hz lay within three bins of some of them."""
+    t = ROW_S * np.arange(ROWS)
+    harmonics = sum((1e-2 * np.cos(2.0 * np.pi * k * excited_hz * t + k) for k in (1, 2, 3)), np.zeros(ROWS))
+    hz = 1.62
+    loud = [
+        replace(flow, excited_hz=excited_hz, rate={c: x + harmonics for c, x in flow.rate.items()})
+        for flow in swinging(flows(np.random.default_rng(5)), "frequency", 2e-5, np.full(COUNT, 1.1), hz)
+    ]
+    found = find_steady_swing(loud)
+    assert found is not None
+    assert found.channel == "frequency"
+    assert found.frequency_hz == pytest.approx(hz, abs=0.3 / (STARTS_S[-1] - STARTS_S[0]))
+    assert found.size == pytest.approx(2e-5, abs=6.0 * found.size_sd)
+
+
+def test_a_wave_that_turns_hides_no_swing_and_is_none() -> None:
+    """What goes with its azimuth has a size of its own in each recording: of one phase throughout, if they begin alike."""
+    azimuth = 2.0 * np.pi * 0.23 * ROW_S * np.arange(ROWS)
+    rng = np.random.default_rng(6)
+    turning = [
+        replace(
+            flow,
+            turning_hz=0.23,
+            azimuth_rad=azimuth,
+            rate={c: x + 1e-4 * np.cos(2.0 * azimuth) + 1e-4 * np.sin(4.0 * azimuth) for c, x in flow.rate.items()},
+        )
+        for flow in flows(rng)
+    ]
+    assert find_steady_swing(turning) is None
+    found = find_steady_swing(swinging(turning, "precession", 1e-5, np.full(COUNT, 0.6), 1.17))
+    assert found is not None
+    assert (found.channel, found.frequency_hz) == ("precession", pytest.approx(1.17, abs=0.3 / (STARTS_S[-1] - STARTS_S[0])))
+
+
+def test_a_floor_that_is_lower_than_its_law_hides_no_swing() -> None:
+    """White down to where a loop's hump is, and a quarter of that below, where a pier sways every few seconds."""
+    rng = np.random.default_rng(8)
+    pole = 0.985 * np.exp(2j * np.pi * 1.2 * ROW_S)
+    humps = [lfilter([1.2e-7], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal(ROWS)) for _ in range(COUNT)]
+    pairs = zip(flows(rng), humps, strict=True)
+    humped = [replace(flow, rate={**flow.rate, "precession": flow.rate["precession"] + hump}) for flow, hump in pairs]
+    assert find_steady_swing(humped) is None
+    found = find_steady_swing(swinging(humped, "precession", 8e-6, np.full(COUNT, 0.6), 0.21))
+    assert found is not None
+    assert found.frequency_hz == pytest.approx(0.21, abs=0.3 / (STARTS_S[-1] - STARTS_S[0]))

@@ -35,9 +35,9 @@ def noise(rng: np.random.Generator) -> NDArray[np.float64]:
 
 def flows(rng: np.random.Generator, count: int = 8, excited_hz: float = 0.0) -> list[FlowLeft]:
     """Recordings at rest of one kind."""
+    kind, still = ("ftr_x", 1.0, False), np.zeros(ROWS)
     return [
-        FlowLeft(f"static_{k}", ("ftr_x", 1.0, False), ROW_S, CARRIER_HZ, excited_hz, 0.0, {c: noise(rng) for c in CHANNELS})
-        for k in range(count)
+        FlowLeft(f"static_{k}", kind, ROW_S, CARRIER_HZ, excited_hz, 0.0, {c: noise(rng) for c in CHANNELS}, still) for k in range(count)
     ]
 
 
@@ -93,7 +93,7 @@ def test_a_resonance_that_wanders_does_not_swing() -> None:
         kinds = [replace(f, kind=("ftr_x", float(k // 3), False)) for k, f in enumerate(flows(rng, 15))]
         of_seed = [with_more(f, "frequency", w) for f, w in zip(kinds, wander, strict=True)]
         # images of this carrier leave but a few of the low bins, all of them loud
-        still = [replace(f, carrier_hz=4998.84, rate={c: x[:1000] for c, x in f.rate.items()}) for f in of_seed]
+        still = [replace(f, carrier_hz=4998.84, rate={c: x[:1000] for c, x in f.rate.items()}, azimuth_rad=np.zeros(1000)) for f in of_seed]
         assert find_swing(still) is None
 
 

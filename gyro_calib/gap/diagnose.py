@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,11 +18,11 @@ from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
-from .flow_left import flows_left
+from .flow_left import FlowLeft, flows_left
 from .gain_flicker import with_gain_flicker
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
-from .jumps import find_jumps
+from .jumps import Jumps, find_jumps
 from .linear_device import linear_of
 from .loop_effects import LOOP_EFFECTS, loop_effects
 from .loud import loudest
@@ -38,7 +38,7 @@ from .spectral_effects import SAMPLED, SPECTRAL, SpectralEffects, spectral_effec
 from .standing import standings
 from .steady_swings import find_steady_swing
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
-from .swings import find_swing
+from .swings import Swing, find_swing
 from .system import Solution
 from .thermometer import said_sensor_late
 from .told import told_sizes
@@ -84,7 +84,9 @@ def diagnose(
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
     warnings = [*warnings, *said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
     report(0.7, "selecting effects")
-    beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out), model, recordings, left_out)
+    flows = flows_left(model.evidence, model.linear)
+    swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
+    beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out, swings), model, recordings, left_out)
     beside = with_gain_flicker(beside, model.evidence, model.linear, model.noise, left_out)
     selection = select_effects(model)
     beside = with_unseen_steps(beside, model, selection, left_out)
@@ -104,7 +106,7 @@ def diagnose(
         or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
         or (None if beside.effects else _more_than_they_say(model, selection, shrunk))
     )
-    unknown = unknown or (None if beside.effects else _within_recordings(model, bool(effects)))
+    unknown = unknown or (None if beside.effects else _within_recordings(flows, swings, bool(effects)))
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
@@ -261,15 +263,16 @@ def _more_than_they_say(model: CampaignModel, selection: Selection, shrunk: Shri
     return _unknown(unnamed_rest(model, [e.candidate for e in selection.effects]))
 
 
-def _within_recordings(model: CampaignModel, with_effects: bool) -> Unknown | None:
+def _within_recordings(flows: Sequence[FlowLeft], swings: Sequence[Swing], with_effects: bool) -> Unknown | None:
     """What swings or jumps within recordings, which no line tells.
 
     Effects may do so where a side band or a turning wave takes them along, and settle after a command; at rest they do not swing.
     """
-    flows = flows_left(model.evidence, model.linear)
-    still = [flow for flow in flows if flow.is_still] if with_effects else flows
-    jumps = None if with_effects else find_jumps(flows)
-    found = [moves.unknown() for moves in (find_swing(still), find_steady_swing(still), jumps) if moves is not None]
+    moves: list[Swing | Jumps | None] = [*swings, find_jumps(flows)]
+    if with_effects:
+        still = [flow for flow in flows if flow.is_still]
+        moves = [find_swing(still), find_steady_swing(still)]
+    found = [moved.unknown() for moved in moves if moved is not None]
     return max(found, key=lambda unknown: unknown.gain, default=None)
 
 

@@ -46,6 +46,8 @@ class FlowLeft:
         Turns of psi a second.
     rate : mapping of str to ndarray, shape (n,)
         Relative rate of change that nothing explains [1/s], by channel, less its mean and slope.
+    azimuth_rad : ndarray, shape (n,)
+        Of the wave.
     start_s : float
         Of its first row, on the campaign's clock.
     """
@@ -57,6 +59,7 @@ class FlowLeft:
     excited_hz: float
     turning_hz: float
     rate: dict[str, FloatArray]
+    azimuth_rad: FloatArray
     start_s: float = 0.0
 
     @property
@@ -103,6 +106,7 @@ def _flow_left(r: RecordingEvidence, linear: Linear) -> FlowLeft:
         command.excitation.frequency_hz if command.excitation.kind != "none" else 0.0,
         abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * s.row_s * len(azimuth)),
         {name: _straightened(x) for name, x in zip(CHANNELS, (along.real, along.imag, across.real, across.imag), strict=True)},
+        azimuth,
         float(s.time_s[0]),
     )
 

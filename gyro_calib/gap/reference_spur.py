@@ -30,6 +30,8 @@ _TRIED = 17
 #: share of a line that the log may leave beyond the floor of what it leaves, and that the reference must take; bins to both sides that tell
 #: that floor
 _LEFT, _TURNED, _FLOOR_BINS = 0.2, 0.5, (4, 12)
+#: harmonics of a side band that hold signal, and bins about them
+_OF_SIDE_BAND, _SKIRT_BINS = 5, 6.0
 
 
 def steered_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: float) -> tuple[float, float] | None:
@@ -43,7 +45,7 @@ def steered_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz:
         Of the line, to a bin of the longest record.
     """
     found, moved, turned, left = [], 0.0, 0.0, 0.0
-    for r, axis, carrier in _standing(recordings):
+    for r, axis, carrier in _standing(recordings, frequency_hz):
         steered = detrended(r.ref_omega_rad_s[:, None].astype(np.complex128))[:, 0]
         f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, steered, hz)))
         moved += _moved(r, linear, axis, f)
@@ -59,7 +61,7 @@ def steered_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz:
 def is_driven(recordings: Sequence[Recording], linear: Linear, frequency_hz: float) -> bool:
     """Whether the log says all of a line that its frequency column does not have: the drives make it, as they are commanded."""
     moved, left = 0.0, 0.0
-    for r, axis, _ in _standing(recordings):
+    for r, axis, _ in _standing(recordings, frequency_hz):
         f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, detrended(r.pick)[:, axis], hz)))
         moved += _moved(r, linear, axis, f)
         left += _left_of_line(r, linear, axis, f)
@@ -78,7 +80,7 @@ def phase_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: f
         Of the line, to a bin of the longest record.
     """
     found, sign = [], 0.0
-    for r, axis, carrier in _standing(recordings):
+    for r, axis, carrier in _standing(recordings, frequency_hz):
         v = detrended(r.pick)[:, axis]
         f = max(_near(r, frequency_hz), key=lambda hz: abs(_line(r, v, hz)) + abs(_line(r, v, -hz)))
         above, below = _line(r, v, f) / carrier, _line(r, v, -f) / carrier
@@ -93,9 +95,13 @@ def phase_swing(recordings: Sequence[Recording], linear: Linear, frequency_hz: f
     return size, float(np.hypot(1.253 * np.std(found) / np.sqrt(len(found)), _FILTERS * size))
 
 
-def _standing(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, complex]]:
-    """Plain records of a wave that stands along an axis: that axis, and its mean volts."""
+def _standing(recordings: Sequence[Recording], frequency_hz: float) -> Iterator[tuple[Recording, int, complex]]:
+    """Plain records of a wave that stands along an axis, none of a side band with a harmonic there: that axis, and its mean volts."""
     for r in plain_records(recordings):
+        side_band_hz = r.command.excitation.frequency_hz if r.command.excitation.kind != "none" else 0.0
+        harmonic = min(round(frequency_hz / side_band_hz), _OF_SIDE_BAND) if side_band_hz > 0.0 else 0
+        if harmonic and abs(frequency_hz - harmonic * side_band_hz) * r.duration_s < _SKIRT_BINS:
+            continue
         axis = int(np.argmax(np.mean(np.abs(r.pick) ** 2, axis=0)))
         carrier = complex(r.pick[:, axis].mean())
         if abs(carrier) ** 2 >= _STANDS * float(np.mean(np.abs(r.pick[:, axis]) ** 2)):

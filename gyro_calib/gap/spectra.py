@@ -103,13 +103,17 @@ class PickSpectrum:
         return np.asarray(within & ~is_image(away_hz, self.carrier_hz, self.bin_hz, self.busy_hz, self.recording.sample_rate_hz))
 
 
-def is_image(away_hz: FloatArray, carrier_hz: float, bin_hz: float, busy_hz: float = 0.0, row_hz: float = RATES_HZ) -> NDArray[np.bool_]:
+def is_image(
+    away_hz: FloatArray, carrier_hz: float, bin_hz: float, busy_hz: float = 0.0, row_hz: float = RATES_HZ, skirt_hz: float = 0.0
+) -> NDArray[np.bool_]:
     """Whether lines at these distances are a harmonic of the carrier folded at a converter's rate, or stand on the skirt of one.
+
+    ``skirt_hz``: half its width, where it is not that of a spectrum of so many bins.
 
     Of its mirror, the image of the conjugate, what is modulated or turns shows more than what stands (`images.py`): side bands without a
     carrier, 1.5 Hz from where that would be, and folded at the rows' rate again.
     """
-    near = max(_SAME_HZ, _SKIRT_BINS * bin_hz)
+    near = skirt_hz or max(_SAME_HZ, _SKIRT_BINS * bin_hz)
     found = np.zeros(away_hz.shape, dtype=bool)
     folded_hz = math.gcd(round(RATES_HZ), round(row_hz)) if row_hz == round(row_hz) else RATES_HZ
     for k in range(-_IMAGED, _IMAGED + 1):

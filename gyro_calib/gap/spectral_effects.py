@@ -16,7 +16,8 @@ from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
 from .parts import Linear
 from .reference_spur import is_driven, phase_swing, steered_swing
-from .spectra import near_line, pick_spectra
+from .spectra import near_line, pick_spectra, plain_records
+from .swings import Swing
 from .tones import Tone, find_tone
 
 __all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "found_beside", "spectral_effects"]
@@ -60,7 +61,9 @@ class SpectralEffects:
     near: tuple[int, ...] = ()
 
 
-def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: Iterable[str] = ()) -> SpectralEffects:
+def spectral_effects(
+    recordings: Sequence[Recording], linear: Linear, without: Iterable[str] = (), swings: Sequence[Swing] = ()
+) -> SpectralEffects:
     """Lines that no command asks for, and a floor that grows with the amplitude.
 
     Parameters
@@ -69,10 +72,12 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     linear : Linear
     without : iterable of str
         Effects that the registry shall not hold (blind trials): of a line that is there all the same nothing is said.
+    swings : sequence of Swing
+        What goes to and fro in the slow flow.
     """
     left_out = set(without)
     spectra = pick_spectra(recordings)
-    tone, growth = find_tone(spectra, linear), noise_growth(recordings)
+    tone, growth = _not_swinging(find_tone(spectra, linear), swings, recordings), noise_growth(recordings)
     steps = converter_steps(recordings)
     if steps is not None and steps.undithered:
         # lines within a step, and noise that changes with the amplitude, are what such rounding makes
@@ -83,7 +88,9 @@ def spectral_effects(recordings: Sequence[Recording], linear: Linear, without: I
     if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None and driven is None:
         effects.append(_tone(tone, left_out))
     if tone is not None and swing is not None and "reference_spur" not in left_out:
-        effects.append(_spur(tone, swing))
+        effects.append(_spur(Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz"), swing, tone.log_evidence))
+    if tone is None and "reference_spur" not in left_out:
+        effects += [_steady_spur(swing) for swing in swings if swing.swings_the_phase]
     # a line that grows with the wave is all of a floor that does
     rippling = driven or _rippling_gain(tone, swing)
     if any(e.name == "reference_spur" for e in effects):
@@ -158,9 +165,24 @@ def _swing(tone: Tone | None, recordings: Sequence[Recording], linear: Linear) -
     return steered if steered is not None or not tone.of_wave else phase_swing(recordings, linear, tone.frequency_hz)
 
 
-def _spur(tone: Tone, swing: tuple[float, float]) -> FoundEffect:
-    parameters = {"frequency_hz": Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz"), "s": Quantity(*swing, "rad")}
-    return found_beside("reference_spur", parameters, 2.0 * tone.log_evidence)
+def _spur(frequency: Quantity, swing: tuple[float, float], log_evidence: float) -> FoundEffect:
+    return found_beside("reference_spur", {"frequency_hz": frequency, "s": Quantity(*swing, "rad")}, 2.0 * log_evidence)
+
+
+def _steady_spur(steady: Swing) -> FoundEffect:
+    """Of a reference whose frequency column does not have all of it: loops that follow it move the wave hardly at all."""
+    omega = 2.0 * math.pi * steady.frequency_hz
+    frequency = Quantity(steady.frequency_hz, steady.frequency_sd_hz, "Hz")
+    return _spur(frequency, (steady.size / omega, steady.size_sd / omega), steady.log_evidence)
+
+
+def _not_swinging(tone: Tone | None, swings: Sequence[Swing], recordings: Sequence[Recording]) -> Tone | None:
+    """A line, unless it is the lesser part of what goes to and fro in the slow flow: what is added to the wave is more than that."""
+    if tone is None or tone.name != "mains_pickup":
+        return tone
+    bin_hz = 1.0 / min(r.duration_s for r in plain_records(recordings))
+    same = [swing for swing in swings if abs(tone.frequency_hz - swing.frequency_hz) < bin_hz]
+    return None if any(swing.log_evidence > tone.log_evidence for swing in same) else tone
 
 
 def _driven_line(tone: Tone | None, recordings: Sequence[Recording], linear: Linear) -> Unknown | None:

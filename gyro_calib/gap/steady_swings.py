@@ -1,21 +1,23 @@
 """Something goes to and fro at one frequency, one size and one phase on the device's clock through the whole campaign.
 
 A bench that rocks, a supply that hums. In no record need it stand over the floor: all of them together tell it, for it has two unknowns
-where :mod:`.swings` gives each record two of its own.
+where :mod:`.swings` gives each record two of its own. Nor need it be away from what else moves there: a mean and a slope, the harmonics of
+a side band and those of the wave's turning have sizes of their own beside it, and what is left of a cosine beside them tells its size.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import zoom_fft
+from scipy.interpolate import CubicSpline
 
 from .evidence import CHANNELS
 from .flow_left import FlowLeft
-from .swings import HIGHEST_HZ, SHORTEST_S, Kind, Swing, kinds_of
+from .swings import HIGHEST_HZ, SHORTEST_S, Kind, Swing, is_imaged, kinds_of
 
 __all__ = ["find_steady_swing"]
 
@@ -26,8 +28,92 @@ ComplexArray = NDArray[np.complex128]
 _FEWEST, _STEP, _MOST = 6, 0.25, 40_000
 #: records of a kind that tell their floor at its lowest bins too: of two of a hemisphere it was a thousandth of the resonance's wander
 _OWN_FLOOR = 4
-#: log evidence beyond the search from which on it is one
-_MARGIN = 12.0
+#: log evidence beyond the search from which on it is one (27 healthy campaigns came to 1.4 at most); how far below its law a floor may be:
+#: a loop's hump makes it white, and nearer to the mean it is not
+_MARGIN, _BELOW = 8.0, 0.01
+#: harmonics of a side band, and of the azimuth, that have a size of their own in each record; what must be left of a cosine beside them;
+#: bins about an image
+_OF_SIDE_BAND, _OF_AZIMUTH, _LEAST_LEFT, _SKIRT_BINS = (1, 2, 3, 4, 5), (1, 2, 3, 4, 6, 8), 0.3, 1.5
+#: share of the rows' rate within which their filter leaves a swing; share of the largest below which two of these are one
+_PASSED, _ALIKE = 0.45, 1e-10
+#: frequencies at which a record's transform is formed, in each of its bins: between them it is smooth; frequencies about the best one
+_FINE, _FINER = 16, 17
+
+
+@dataclass(frozen=True)
+class _Heard:
+    """What records hold of a swing ``Re z exp(2 pi i f t)``: ``H = (a z + b conj z) / 2``, over their floors.
+
+    Parameters
+    ----------
+    H, b : ndarray, complex, shape (..., frequencies)
+    a : ndarray, shape (..., frequencies)
+        0 where a record tells nothing.
+    """
+
+    H: ComplexArray
+    a: FloatArray
+    b: ComplexArray
+
+    def best(self) -> ComplexArray:
+        """The likeliest z, 0 of a record that tells nothing."""
+        det = self.a**2 - np.abs(self.b) ** 2
+        return np.asarray(2.0 * (self.a * self.H - self.b * np.conj(self.H)) / np.where(det > 0.0, det, np.inf))
+
+    def gain(self) -> FloatArray:
+        """Log likelihood of that one over none."""
+        return np.asarray(0.5 * np.real(np.conj(self.best()) * self.H))
+
+    def together(self) -> _Heard:
+        """Of all records one."""
+        return _Heard(self.H.sum(axis=0), self.a.sum(axis=0), self.b.sum(axis=0))
+
+    def part(self, records: NDArray[np.bool_], k: int) -> _Heard:
+        """Of some records at one frequency."""
+        return _Heard(self.H[records, k : k + 1], self.a[records, k : k + 1], self.b[records, k : k + 1])
+
+
+class _Record:
+    """What one record tells of swings, beside what else moves in it.
+
+    Parameters
+    ----------
+    flow : FlowLeft
+    """
+
+    def __init__(self, flow: FlowLeft) -> None:
+        self._flow = flow
+        self._window = np.hanning(len(flow.azimuth_rad) + 2)[1:-1]
+        self._besides = _besides(flow, self._window)
+        whole = float(self._window.sum())
+        f, held = self._about_its_middle(self._window[:, None] * self._besides)
+        twice = self._about_its_middle(self._window[:, None])[1][::2, 0]
+        self._f, held = f[: len(twice)], held[: len(twice)]
+        self._a, self._b = whole - np.sum(np.abs(held) ** 2, axis=1), twice - np.sum(held**2, axis=1)
+        #: variance of what is heard, over the floor and a
+        self._per_floor = float(np.sum(self._window**2) / whole / flow.row_s)
+
+    def heard(self, channel: str, grid: FloatArray, floor: FloatArray) -> _Heard:
+        """Of a channel over its floor, shape (frequencies,)."""
+        a, b = np.interp(grid, self._f, self._a), np.interp(grid, self._f, self._b)
+        there = (a - np.abs(b) > _LEAST_LEFT * self._window.sum()) & (grid < _PASSED / self._flow.row_s) & (floor > 0.0)
+        there &= ~is_imaged(self._flow, grid, _SKIRT_BINS / self._flow.duration_s)
+        x = self._flow.rate[channel]
+        left = x - self._besides @ (self._besides.T @ (self._window * x))
+        f, found = self._about_its_middle((self._window * left)[:, None])
+        # turns from the middle to the zero of the device's clock
+        middle_s = self._flow.start_s + 0.5 * (len(x) - 1) * self._flow.row_s
+        clock = np.exp(-2j * np.pi * grid * middle_s)
+        noise = np.where(there, floor, np.inf) * self._per_floor
+        return _Heard(CubicSpline(f, found[:, 0])(grid) * clock / noise, a / noise, b * clock**2 / noise)
+
+    def _about_its_middle(self, x: FloatArray) -> tuple[FloatArray, ComplexArray]:
+        """Frequencies, and Fourier sums of columns with the record's middle as the zero of time: so they are smooth."""
+        n = len(x)
+        f = np.arange(_FINE * n // 2 + 1) / (_FINE * n * self._flow.row_s)
+        kept = f <= 2.0 * HIGHEST_HZ + 1.0 / self._flow.duration_s
+        moved = np.exp(1j * np.pi * f * (n - 1) * self._flow.row_s)
+        return f[kept], np.asarray(np.fft.rfft(x, _FINE * n, axis=0)[kept] * moved[kept, None])
 
 
 def find_steady_swing(flows: Sequence[FlowLeft]) -> Swing | None:
@@ -44,67 +130,79 @@ def find_steady_swing(flows: Sequence[FlowLeft]) -> Swing | None:
     step = _STEP / span_s
     grid = np.asarray(np.arange(1.0, min(HIGHEST_HZ / step, _MOST)) * step, dtype=np.float64)
     searched = math.log(len(CHANNELS) * grid.size)
-    found = [swing for channel in CHANNELS if (swing := _of_channel(kinds_of(long_enough, channel), grid, channel, searched)) is not None]
+    records = {id(flow): _Record(flow) for flow in long_enough}
+    found = [
+        swing
+        for channel in CHANNELS
+        if (swing := _of_channel(kinds_of(long_enough, channel), records, grid, channel, searched)) is not None
+    ]
     return max(found, key=lambda swing: swing.log_evidence, default=None)
 
 
-def _of_channel(kinds: Sequence[Kind], grid: FloatArray, channel: str, searched: float) -> Swing | None:
+def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: FloatArray, channel: str, searched: float) -> Swing | None:
     if sum(len(kind.flows) for kind in kinds) < _FEWEST:
         return None
-    heard, expected = _matched(kinds, grid, channel)
-    best = int(np.argmax(_evidence(heard, expected)))
-    told = expected[:, best] > 0.0
+    coarse = _heard(kinds, records, grid, channel)
+    evidence = _evidence(coarse)
+    best = int(np.argmax(evidence))
+    if evidence[best] - searched <= 0.0:
+        return None
+    # beside a frequency that is a part of a step away much is left of it
+    fine = grid[best] + np.linspace(-1.0, 1.0, _FINER) * (grid[1] - grid[0])
+    heard = _heard(kinds, records, fine[fine > 0.0], channel)
+    best = int(np.argmax(_evidence(heard)))
+    told = heard.a[:, best] > 0.0
     if int(told.sum()) < _FEWEST:
         return None
-    one, unit = heard[told, best], expected[told, best]
     # without the record that says most: one alone may have been disturbed
-    beyond = min(float(_evidence(np.delete(one, k)[:, None], np.delete(unit, k)[:, None])[0]) for k in range(one.size)) - searched
-    return Swing(channel, float(grid[best]), beyond, one.size) if beyond > _MARGIN else None
+    beyond = min(float(_evidence(heard.part(told & (np.arange(told.size) != k), best))[0]) for k in np.flatnonzero(told)) - searched
+    if beyond <= _MARGIN:
+        return None
+    whole = heard.part(told, best).together()
+    size, size_sd = float(np.abs(whole.best()[0])), float(np.sqrt(2.0 / whole.a[0]))
+    # the bound of a line in a record that is as long as the campaign
+    frequency_sd_hz = math.sqrt(3.0) / math.pi * (grid[1] - grid[0]) / _STEP * size_sd / size
+    return Swing(channel, float(fine[fine > 0.0][best]), beyond, int(told.sum()), size, size_sd, frequency_sd_hz)
 
 
-def _evidence(heard: ComplexArray, expected: FloatArray) -> FloatArray:
-    """Log likelihood that one swing of all records gains over floors that are higher there, as a resonance's that wanders are."""
-    count = np.maximum(np.sum(expected > 0.0, axis=0), 1)
-    whole = np.sum(np.abs(heard) ** 2 / np.where(expected > 0.0, expected, 1.0), axis=0)
-    left = whole - np.abs(heard.sum(axis=0)) ** 2 / np.maximum(expected.sum(axis=0), 1e-300)
-    higher, beside = np.maximum(whole / count, 1.0), np.maximum(left / count, 1.0)
+def _evidence(heard: _Heard) -> FloatArray:
+    """Log likelihood that one swing of all records gains over floors that are other there: as a resonance's that wanders, higher."""
+    count = np.maximum(np.sum(heard.a > 0.0, axis=0), 1)
+    whole = np.sum(heard.gain(), axis=0)
+    left = np.maximum(whole - heard.together().gain(), 0.0)
+    higher, beside = np.maximum(whole / count, _BELOW), np.maximum(left / count, _BELOW)
     return np.asarray(count * np.log(higher / beside) + whole / higher - left / beside)
 
 
-def _matched(kinds: Sequence[Kind], grid: FloatArray, channel: str) -> tuple[ComplexArray, FloatArray]:
-    """By record: what it holds of a swing of any size at each frequency, and what it holds of one of unit size, both over its floor.
-
-    Returns
-    -------
-    heard : ndarray, complex, shape (records, frequencies)
-        Of variance ``expected`` where there is only the floor.
-    expected : ndarray, shape (records, frequencies)
-        0 where a record holds signal.
-    """
-    heard, expected = [], []
+def _heard(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: FloatArray, channel: str) -> _Heard:
+    """By record over its floor, shape (records, frequencies) each."""
     flows = [flow for kind in kinds for flow in kind.flows]
-    for flow, floor in zip(flows, _floors(kinds, grid), strict=True):
-        window = np.hanning(len(flow.rate[channel]))
-        found = _transform(window * flow.rate[channel], flow.row_s, grid) * np.exp(-2j * np.pi * grid * flow.start_s)
-        # of a cosine of unit size half stands at either sign of its frequency
-        held, noise = 0.5 * window.sum(), floor * np.sum(window**2) / flow.row_s
-        there = np.isfinite(noise)
-        noise = np.where(there, noise, 1.0)
-        heard.append(np.where(there, held * found / noise, 0.0))
-        expected.append(np.where(there, held**2 / noise, 0.0))
-    return np.array(heard), np.array(expected)
+    found = [records[id(flow)].heard(channel, grid, floor) for flow, floor in zip(flows, _floors(kinds, grid), strict=True)]
+    return _Heard(np.array([h.H for h in found]), np.array([h.a for h in found]), np.array([h.b for h in found]))
+
+
+def _besides(flow: FlowLeft, window: FloatArray) -> FloatArray:
+    """What else moves in a record, orthonormal under its window, shape (n, k)."""
+    n = len(window)
+    place = np.linspace(-1.0, 1.0, n)
+    columns = [np.ones(n), place]
+    angles = []
+    if flow.excited_hz > 0.0:
+        angles += [2.0 * np.pi * k * flow.excited_hz * flow.row_s * np.arange(n) for k in _OF_SIDE_BAND]
+    if not flow.is_still:
+        angles += [k * flow.azimuth_rad for k in _OF_AZIMUTH]
+    for angle in angles:
+        columns += [np.cos(angle), np.sin(angle)]
+    together = np.column_stack(columns)
+    size, axes = np.linalg.eigh(together.T @ (window[:, None] * together))
+    apart = size > _ALIKE * size[-1]
+    return np.asarray(together @ (axes[:, apart] / np.sqrt(size[apart])))
 
 
 def _floors(kinds: Sequence[Kind], grid: FloatArray) -> FloatArray:
     """By record. Of a kind of few not below that of most records: no bin near the mean tells it, and all are of one device that wanders."""
-    floors = np.array([floor for kind in kinds for floor in kind.floors(grid, None, low=True)])
-    few = np.repeat([len(kind.flows) < _OWN_FLOOR for kind in kinds], [len(kind.flows) for kind in kinds])
-    there = np.isfinite(floors)
-    usual = np.nanmedian(np.where(there.any(axis=0), floors, 0.0), axis=0)
-    return np.where(few[:, None], np.maximum(floors, usual), floors)
-
-
-def _transform(x: FloatArray, row_s: float, grid: FloatArray) -> ComplexArray:
-    """Fourier sum at the frequencies of an even grid."""
-    step = grid[1] - grid[0]
-    return np.asarray(zoom_fft(x, [grid[0], grid[-1] + step], m=grid.size, fs=1.0 / row_s))
+    counts = [len(kind.flows) for kind in kinds]
+    floors = np.repeat([kind.law(grid) for kind in kinds], counts, axis=0)
+    own = np.repeat([kind.tells_floor(grid, _OWN_FLOOR) for kind in kinds], counts, axis=0)
+    usual = np.nanmedian(np.where(own.any(axis=0) & ~own, np.nan, floors), axis=0)
+    return np.where(own, floors, np.maximum(floors, usual))

@@ -21,11 +21,11 @@ from .flow_left import FlowLeft
 from .noise_law import fit_law
 from .spectra import is_image
 
-__all__ = ["HIGHEST_HZ", "SHORTEST_S", "Kind", "Swing", "find_swing", "kinds_of"]
+__all__ = ["HIGHEST_HZ", "SHORTEST_S", "Kind", "Swing", "find_swing", "is_imaged", "kinds_of"]
 
 FloatArray = NDArray[np.float64]
-#: bins about the mean, harmonics of a wave's turning and bins about those of a side band that belong to the signal; highest [Hz]
-_LEAST_BINS, _HARMONICS, _SKIRT_BINS, HIGHEST_HZ = 4.0, 16.0, 3.0, 12.0
+#: bins about the mean, harmonics of a wave's turning, harmonics of a side band and bins about them that belong to the signal; highest [Hz]
+_LEAST_BINS, _HARMONICS, _OF_SIDE_BAND, _SKIRT_BINS, HIGHEST_HZ = 4.0, 16.0, 5.0, 3.0, 12.0
 #: log evidence beyond the search (26 healthy campaigns came to 1.2 at most); what a size costs in each record; power over the floor that
 #: shows it, and in how many records at least
 _MARGIN, _PRICE, _SHOWN, _FEWEST = 20.0, 2.0, 8.0, 2
@@ -37,13 +37,15 @@ _ABOUT_BINS, _FEWEST_ABOUT = 12.0, 10
 _ASKED = 6
 #: a recording shorter than this says nothing [s]; fewest bins of a kind from which its floor is measured
 SHORTEST_S, _FEWEST_BINS = 3.5, 24
+#: frequency from which on nothing but electronics moves a resonance's frequency or its reference's [Hz]
+_FASTER_HZ = 1.0
 #: distance of the frequencies that are tried, in bins of the longest record
 _STEP_BINS = 0.5
 #: what swings, by channel
 _WORDS = {
     "amplitude": ("drive or pick-off", "in phase", "a gain or a loss"),
     "frequency": ("dynamics", "in quadrature", "the stiffness or a delay"),
-    "precession": ("dynamics", "in phase", "the rate or a cross coupling"),
+    "precession": ("environment", "in phase", "the rate, as of a base that sways, or a cross coupling"),
     "quadrature": ("dynamics", "in quadrature", "the cross stiffness"),
 }
 
@@ -60,12 +62,23 @@ class Swing:
         Beyond the search.
     records : int
         That show it.
+    size : float
+        Amplitude of the relative rate of change [1/s], of a steady one; 0 where each record has its own.
+    size_sd, frequency_sd_hz : float
     """
 
     channel: str
     frequency_hz: float
     log_evidence: float
     records: int
+    size: float = 0.0
+    size_sd: float = 0.0
+    frequency_sd_hz: float = 0.0
+
+    @property
+    def swings_the_phase(self) -> bool:
+        """Whether it is the reference's phase: a resonance that follows its temperature is slower."""
+        return self.channel == "frequency" and self.size > 0.0 and self.frequency_hz > _FASTER_HZ
 
     def unknown(self) -> Unknown:
         """As a finding."""
@@ -116,15 +129,24 @@ class Kind:
             found.append(s.power[places] / floor)
         return found
 
-    def floors(self, grid: FloatArray, apart_hz: float | None, *, low: bool = False) -> list[FloatArray]:
-        """The floor by record at the bins of every frequency of a grid; NaN where they hold signal; ``low``: nearer the mean, too."""
+    def tells_floor(self, grid: FloatArray, fewest: int) -> NDArray[np.bool_]:
+        """Whether so many records or more have bins down to each frequency."""
+        lowest = [s.frequency_hz[s.low].min(initial=np.inf) for s in self.spectra]
+        return np.sum(np.array(lowest)[:, None] <= grid, axis=0) >= fewest
+
+    def law(self, grid: FloatArray) -> FloatArray:
+        """The floor at frequencies, whatever stands there."""
+        return np.asarray(_basis(grid) @ self._floor(None))
+
+    def floors(self, grid: FloatArray, apart_hz: float | None) -> list[FloatArray]:
+        """The floor by record at the bins of every frequency of a grid; NaN where they hold signal."""
         law = self._floor(apart_hz)
         if apart_hz is not None:
             law = law * max(1.0, self._about(apart_hz, law))
         found = []
         for s in self.spectra:
             places = np.minimum(np.round(grid / s.bin_hz).astype(int), s.power.size - 1)
-            there = (s.low if low else s.heard)[places] & (np.round(grid / s.bin_hz) < s.power.size)
+            there = s.heard[places] & (np.round(grid / s.bin_hz) < s.power.size)
             found.append(np.where(there, _basis(np.maximum(s.frequency_hz[places], 1e-9)) @ law, np.nan))
         return found
 
@@ -227,7 +249,13 @@ def _hears(flow: FlowLeft, f: FloatArray, least_bins: float) -> NDArray[np.bool_
     bin_hz = 1.0 / flow.duration_s
     heard = (f > max(least_bins * bin_hz, _HARMONICS * flow.turning_hz)) & (f < HIGHEST_HZ)
     if flow.excited_hz > 0.0:
-        heard &= np.abs(f - flow.excited_hz * np.round(f / flow.excited_hz)) > _SKIRT_BINS * bin_hz
-    busy_hz = max(flow.excited_hz, flow.turning_hz)
-    images = np.any([is_image(side * f, flow.carrier_hz, bin_hz, busy_hz, 1.0 / flow.row_s) for side in (1.0, -1.0)], axis=0)
-    return np.asarray(heard & ~images)
+        nearest = np.minimum(np.round(f / flow.excited_hz), _OF_SIDE_BAND)
+        heard &= np.abs(f - flow.excited_hz * nearest) > _SKIRT_BINS * bin_hz
+    return np.asarray(heard & ~is_imaged(flow, f))
+
+
+def is_imaged(flow: FlowLeft, f: FloatArray, skirt_hz: float = 0.0) -> NDArray[np.bool_]:
+    """Whether an image of the carrier's harmonics stands at a frequency of what is left, or on its skirt if that is known."""
+    busy_hz, bin_hz = max(flow.excited_hz, flow.turning_hz), 1.0 / flow.duration_s
+    images = [is_image(side * f, flow.carrier_hz, bin_hz, busy_hz, 1.0 / flow.row_s, skirt_hz) for side in (1.0, -1.0)]
+    return np.asarray(np.any(images, axis=0))
