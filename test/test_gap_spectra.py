@@ -14,10 +14,12 @@ from scipy.integrate import solve_ivp
 from gyro_calib.gap.diagnose import _without_products
 from gyro_calib.gap.noise_growth import noise_growth
 from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.reference_spur import _standing
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import Selection
 from gyro_calib.gap.spectra import is_image, pick_spectra
 from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
+from gyro_calib.gap.swings import Swing
 from gyro_calib.gap.tones import _volts, find_tone
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Excitation, Setpoints
@@ -109,6 +111,38 @@ def test_a_line_that_the_drives_make_is_no_hum(told: bool) -> None:
     assert said.effects == ()
     assert said.unknown is not None
     assert said.unknown.form.startswith("drives that go to and fro at 20 Hz")
+
+
+@pytest.mark.parametrize(("hz", "asked"), [(3.1, False), (6.0, False), (9.7, True)])
+def test_a_side_band_with_a_harmonic_there_is_not_asked_who_makes_a_line(hz: float, asked: bool) -> None:
+    """Its drive makes that one, a million times as loud: a reference's spur was drives that go to and fro (fourteenth plant)."""
+    excitation = Excitation("amplitude_modulation", frequency_hz=1.5, index=0.3)
+    found = [replace(r, command=replace(r.command, excitation=excitation)) for r in records(np.random.default_rng(2))]
+    assert bool(list(_standing(found, hz))) is asked
+
+
+@pytest.mark.parametrize(("channel", "more"), [("precession", 50.0), ("precession", -50.0), ("frequency", 50.0)])
+def test_a_hum_of_which_the_slow_flow_says_more_is_none(channel: str, more: float) -> None:
+    """What is added to a wave stands in all channels: a base that swayed was a hum of the axis that its wave swings to."""
+    found = records(np.random.default_rng(0), hum=(7.0, 4e-6))
+    tone = find_tone(pick_spectra(found), LINEAR)
+    assert tone is not None
+    said = spectral_effects(found, LINEAR, (), [Swing(channel, 7.02, tone.log_evidence + more, 9)])
+    assert [e.name for e in said.effects] == (["mains_pickup"] if more < 0.0 else [])
+    assert spectral_effects(found, LINEAR, (), [Swing(channel, 8.5, tone.log_evidence + more, 9)]).effects
+
+
+def test_a_steady_swing_of_the_frequency_is_a_spur_of_the_reference() -> None:
+    """A resonance that follows its temperature is slower; and a gain is something else."""
+    found = records(np.random.default_rng(0))
+    steady = Swing("frequency", 3.2, 53.0, 26, 1.8e-4, 1e-5, 1e-4)
+    (spur,) = spectral_effects(found, LINEAR, (), [steady]).effects
+    assert spur.name == "reference_spur"
+    assert (spur.parameters["s"].value, spur.parameters["s"].sd) == pytest.approx((1.8e-4 / (6.4 * np.pi), 1e-5 / (6.4 * np.pi)))
+    assert (spur.parameters["frequency_hz"].value, spur.parameters["frequency_hz"].sd) == (3.2, 1e-4)
+    for other in (replace(steady, frequency_hz=0.4), replace(steady, channel="amplitude"), replace(steady, size=0.0)):
+        assert spectral_effects(found, LINEAR, (), [other]).effects == ()
+    assert spectral_effects(found, LINEAR, ["reference_spur"], [steady]).effects == ()
 
 
 @pytest.mark.parametrize("hum_v", [0.0, 2e-5])
