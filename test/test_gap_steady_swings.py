@@ -49,7 +49,7 @@ def swinging(of: list[FlowLeft], channel: str, size: float, phases: NDArray[np.f
 
 
 def test_noise_alone_goes_nowhere() -> None:
-    for seed in range(20):
+    for seed in range(12):
         assert find_steady_swing(flows(np.random.default_rng(seed))) is None
 
 
@@ -69,7 +69,7 @@ def test_all_recordings_together_tell_what_none_of_them_does(channel: str) -> No
 
 def test_what_begins_anew_in_each_recording_is_not_steady() -> None:
     """A hundred times as large it is a floor that stands higher there, whatever it is about."""
-    for seed in range(10):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         anew = rng.uniform(0.0, 2.0 * np.pi, COUNT)
         assert find_steady_swing(swinging(flows(rng), "precession", 1e-4, anew)) is None
@@ -114,7 +114,7 @@ def test_few_recordings_tell_nothing() -> None:
 
 def test_size_is_told_with_its_sd() -> None:
     sizes = []
-    for seed in range(12):
+    for seed in range(8):
         found = find_steady_swing(swinging(flows(np.random.default_rng(seed)), "precession", 8e-6, np.full(COUNT, 0.6)))
         assert found is not None
         sizes.append((found.size - 8e-6) / found.size_sd)

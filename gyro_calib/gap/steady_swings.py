@@ -86,9 +86,10 @@ class _Record:
         self._window = np.hanning(len(flow.azimuth_rad) + 2)[1:-1]
         self._besides = _besides(flow, self._window)
         whole = float(self._window.sum())
-        f, held = self._about_its_middle(self._window[:, None] * self._besides)
+        self._f, held = self._about_its_middle(self._window[:, None] * self._besides)
+        # at twice a frequency the window alone hears next to nothing, but of the lowest ones
         twice = self._about_its_middle(self._window[:, None])[1][::2, 0]
-        self._f, held = f[: len(twice)], held[: len(twice)]
+        twice = np.pad(twice, (0, len(held) - len(twice)))
         self._a, self._b = whole - np.sum(np.abs(held) ** 2, axis=1), twice - np.sum(held**2, axis=1)
         #: variance of what is heard, over the floor and a
         self._per_floor = float(np.sum(self._window**2) / whole / flow.row_s)
