@@ -28,7 +28,7 @@ ComplexArray = NDArray[np.complex128]
 _FEWEST, _STEP, _MOST = 6, 0.25, 40_000
 #: records of a kind that tell their floor at its lowest bins too: of two of a hemisphere it was a thousandth of the resonance's wander
 _OWN_FLOOR = 4
-#: log evidence beyond the search from which on it is one (27 healthy campaigns came to 1.4 at most); how far below its law a floor may be:
+#: log evidence beyond the search from which on it is one (31 healthy campaigns came to 0.4 at most); how far below its law a floor may be:
 #: a loop's hump makes it white, and nearer to the mean it is not
 _MARGIN, _BELOW = 8.0, 0.01
 #: harmonics of a side band, and of the azimuth, that have a size of their own in each record; what must be left of a cosine beside them;
@@ -167,12 +167,15 @@ def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: Flo
 
 
 def _evidence(heard: _Heard) -> FloatArray:
-    """Log likelihood that one swing of all records gains over floors that are other there: as a resonance's that wanders, higher."""
+    """Log evidence of one swing of all records over floors that are other there: as a resonance's that wanders, higher.
+
+    Where the floors' common size is free that is the F test's: of N records noise gains ``ln(whole/left) > x`` by ``exp(-(N - 1) x)``.
+    """
     count = np.maximum(np.sum(heard.a > 0.0, axis=0), 1)
     whole = np.sum(heard.gain(), axis=0)
     left = np.maximum(whole - heard.together().gain(), 0.0)
     higher, beside = np.maximum(whole / count, _BELOW), np.maximum(left / count, _BELOW)
-    return np.asarray(count * np.log(higher / beside) + whole / higher - left / beside)
+    return np.asarray((count - 1) * np.log(higher / beside) + whole / higher - left / beside)
 
 
 def _heard(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: FloatArray, channel: str) -> _Heard:
