@@ -28,8 +28,8 @@ ComplexArray = NDArray[np.complex128]
 _FEWEST, _STEP, _MOST = 6, 0.25, 40_000
 #: records of a kind that tell their floor at its lowest bins too: of two of a hemisphere it was a thousandth of the resonance's wander
 _OWN_FLOOR = 4
-#: log evidence beyond the search from which on it is one (31 healthy campaigns came to 0.4 at most); how far below its law a floor may be:
-#: a loop's hump makes it white, and nearer to the mean it is not
+#: log evidence beyond the search from which on it is one (thirty campaigns without one came to 0.4 at most); how far below its law a floor
+#: may be: a loop's hump makes it white, and nearer to the mean it is not
 _MARGIN, _BELOW = 8.0, 0.01
 #: harmonics of a side band, and of the azimuth, that have a size of their own in each record; what must be left of a cosine beside them;
 #: bins about an image
