@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from test_gap_courses import clean, with_reading_gain
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.drifts import drift_settings, drifted, said_course
+from gyro_calib.gap.drifts import drift_settings, drifted, said_course, straight
 
 SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401))
 
@@ -36,6 +36,15 @@ def test_courses_are_those_of_a_leak_and_of_ageing() -> None:
     np.testing.assert_allclose(leak / leak[-1], (1.0 - np.exp(-t / 80.0)) / (1.0 - math.exp(-5.0)))
     ageing = drifted(SIGNALS, {"slows_s": 8.0, "end_s": 400.0})
     np.testing.assert_allclose(ageing / ageing[-1], np.log(1.0 + t / 8.0) / math.log(51.0), atol=1e-14)
+
+
+def test_the_noise_is_measured_beside_straight_drifts_alone() -> None:
+    """Beside six courses of six drifts a campaign of few recordings has no freedom left that says how far its means err."""
+    settings = [*drift_settings([SIGNALS]), {"tau": 30.0}]
+    of_all = {"bias_drift": [SimpleNamespace(setting=s) for s in settings], "charge_accumulation": [SimpleNamespace(setting={"tau": 30.0})]}
+    kept = straight(cast(Any, of_all))
+    assert [c.setting for c in kept["bias_drift"]] == [{}, {"tau": 30.0}]
+    assert len(kept["charge_accumulation"]) == 1
 
 
 @pytest.mark.slow
