@@ -11,10 +11,12 @@ import pytest
 
 from gyro_calib.cli.main import main
 from gyro_calib.device import draw_unit, load_device
+from gyro_calib.effects import EFFECTS
 from gyro_calib.errors import CalibrationRefused
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import Diagnosis, FoundEffect, Gap, NextExperiment, Standing, diagnose
 from gyro_calib.gap.diagnosis import PatchedEstimate
+from gyro_calib.gap.drifts import said_course
 from gyro_calib.gap.patch import constant_rate, patch_notes, patched_device, with_factory_data
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.hdf5 import write_campaign_h5
@@ -198,3 +200,22 @@ def test_simulation_of_the_patched_device_shows_the_same_effect_again(tmp_path, 
         assert abs(after.value - before["value"]) < 4.0 * math.hypot(after.sd, before["sd"])
         assert abs(before["value"] - SIZES[name]) < 5.0 * before["sd"]
     assert main(["simulate", str(files["patched.yaml"]), "--plan", "static", "--quality", "quick", "--out", str(tmp_path / "again")]) == 0
+
+
+def test_a_bent_drift_is_a_straight_one_of_a_device_file_and_that_is_said() -> None:
+    device = load_device("ring_15k")
+    straight = FoundEffect(
+        name="drive_gain_drift",
+        title=EFFECTS["drive_gain_drift"].title,
+        group=("drive_gain_drift",),
+        probability=0.9,
+        parameters={"g_x": Quantity(0.0, 1e-8, "1/s"), "g_y": Quantity(1e-6, 1e-8, "1/s")},
+        location="drive",
+        registry_name="drive_gain_drift",
+        gain=1000.0,
+    )
+    bent = replace(straight, title=straight.title + said_course({"saturates_s": 70.0, "end_s": 400.0}))
+    for effect, said in ((straight, False), (bent, True)):
+        diagnosis = diagnosis_of(estimate_of(device, turned=False), [effect])
+        notes = patch_notes(patched_device(device, diagnosis), diagnosis)
+        assert any("bent course of drive_gain_drift" in note for note in notes) is said

@@ -142,6 +142,9 @@ def patch_notes(device: Device, diagnosis: Diagnosis) -> tuple[str, ...]:
     ]
     if not np.any(device.feedthrough_matrix()) and np.any(estimate.E):
         notes.append("The electronics of this device let nothing feed through: the feedthrough that was estimated has no effect.")
+    bent = [e.name for e in diagnosis.effects if e.title != EFFECTS[e.name].title]
+    if bent:
+        notes.append(f"Drifts of a device file are straight: the bent course of {', '.join(bent)} is its mean over these recordings there.")
     kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, *_RENAMED})
     if kept:
         notes.append(f"Kept from the previous file, because these recordings cannot test them: {', '.join(kept)}.")
