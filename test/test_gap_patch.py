@@ -20,6 +20,7 @@ from gyro_calib.gap.drifts import said_course
 from gyro_calib.gap.patch import constant_rate, patch_notes, patched_device, with_factory_data
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.hdf5 import write_campaign_h5
+from gyro_calib.report.gap_tables import effects_table
 from gyro_calib.simulation import GyroSimulator
 from gyro_calib.units import DEG_H
 
@@ -219,3 +220,4 @@ def test_a_bent_drift_is_a_straight_one_of_a_device_file_and_that_is_said() -> N
         diagnosis = diagnosis_of(estimate_of(device, turned=False), [effect])
         notes = patch_notes(patched_device(device, diagnosis), diagnosis)
         assert any("bent course of drive_gain_drift" in note for note in notes) is said
+        assert any("a course that saturates" in cell for row in effects_table(diagnosis).rows for cell in row) is said

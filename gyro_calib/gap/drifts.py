@@ -18,12 +18,14 @@ from .signals import Signals
 if TYPE_CHECKING:
     from .screen import Candidate, Screener
 
-__all__ = ["COURSES", "best_course", "drift_settings", "drifted", "said_course", "straight"]
+__all__ = ["BENT", "COURSES", "best_course", "drift_settings", "drifted", "said_course", "straight"]
 
 FloatArray = NDArray[np.float64]
 #: settings: time constant of one that saturates, time from which on one that slows goes with the log; each with the end of the campaign
 COURSES = ("saturates_s", "slows_s")
 _END = "end_s"
+#: what stands between an effect's title and its course, where that is bent
+BENT = "; along a course that "
 #: times to try, over that of the campaign: shorter ones are steps
 _SATURATES, _SLOWS = (0.12, 0.25, 0.6), (0.01, 0.05, 0.25)
 
@@ -77,5 +79,5 @@ def best_course(beside: Screener, tried: Sequence[Candidate], here: Candidate, r
 def said_course(setting: Setting) -> str:
     """Words on a course that is bent, after the title of an effect."""
     if "saturates_s" in setting:
-        return f"; it saturates, with a time constant of about {setting['saturates_s']:.2g} s"
-    return f"; it slows, as the log of time from about {setting['slows_s']:.2g} s on" if "slows_s" in setting else ""
+        return f"{BENT}saturates, with a time constant of about {setting['saturates_s']:.2g} s"
+    return f"{BENT}slows, as the log of time from about {setting['slows_s']:.2g} s on" if "slows_s" in setting else ""

@@ -24,6 +24,7 @@ from ..errors import CalibrationRefused
 from ..estimation.separation import Priors
 from ..units import DEG_H
 from .diagnosis import Diagnosis, PatchedEstimate
+from .drifts import BENT
 
 __all__ = ["constant_rate", "patch_notes", "patched_device", "with_factory_data"]
 
@@ -142,7 +143,7 @@ def patch_notes(device: Device, diagnosis: Diagnosis) -> tuple[str, ...]:
     ]
     if not np.any(device.feedthrough_matrix()) and np.any(estimate.E):
         notes.append("The electronics of this device let nothing feed through: the feedthrough that was estimated has no effect.")
-    bent = [e.name for e in diagnosis.effects if e.title != EFFECTS[e.name].title]
+    bent = [e.name for e in diagnosis.effects if BENT in e.title]
     if bent:
         notes.append(f"Drifts of a device file are straight: the bent course of {', '.join(bent)} is its mean over these recordings there.")
     kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, *_RENAMED})

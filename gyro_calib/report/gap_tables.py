@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ..gap.diagnosis import Alternative, Diagnosis, FoundEffect, Standing
+from ..gap.drifts import BENT
 from ..quantity import Quantity
 from .table import Table, number, quantity_cells
 
@@ -22,6 +23,8 @@ def effects_table(diagnosis: Diagnosis) -> Table:
             value, sd, unit = quantity_cells(quantity)
             first = (effect.name, f"{100.0 * effect.probability:.1f} %", effect.location, _others(effect)) if k == 0 else ("", "", "", "")
             rows.append((first[0], f"{name} = {value} ± {sd} {unit}", *first[1:]))
+        if BENT in effect.title:
+            rows.append(("", "a course that " + effect.title.split(BENT)[1], "", "", ""))
     for words, probability in _beside_the_named(diagnosis):
         rows.append((words, "", _percent(probability), "", ""))
     return Table("Which effects", ("effect", "size", "probability", "acts in", "cannot be told from"), tuple(rows))
