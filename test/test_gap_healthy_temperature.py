@@ -52,6 +52,7 @@ def test_a_record_early_by_a_sample_of_the_converters_is_a_healthy_one() -> None
     assert gain(-1e-4) > before + 60.0
 
 
+@pytest.mark.slow
 def test_a_feedthrough_that_follows_the_temperature_by_300_ppm_of_itself_is_a_healthy_one() -> None:
     m = model()
     (fed,) = m.candidates["thermal_feedthrough"]

@@ -157,6 +157,7 @@ def test_a_hemisphere_s_duffing_is_known_by_its_pickoffs_phases() -> None:
     assert _best_refined(model, [], first).name == "duffing"
 
 
+@pytest.mark.slow
 def test_a_resonance_that_wanders_does_so_while_it_is_warmed_and_from_record_to_record() -> None:
     """A thermometer's drift stood in the walk of the frequency's noise, and a healthy ring aged by five standard deviations."""
     model = healthy("ring")

@@ -135,6 +135,7 @@ def test_what_has_no_second_setting_stays_as_it_is() -> None:
     assert settled_together(cast(CampaignModel, toy), alone) == alone
 
 
+@pytest.mark.slow
 def test_settings_of_two_kinds_are_refined_and_told_each_by_its_own() -> None:
     """A dead zone by its level, or by the noise beside it: there was a zone of another plant that no diagnosis came out of."""
     model = table_model()
