@@ -11,7 +11,7 @@ import pytest
 from test_gap_courses import clean, with_reading_gain
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.drifts import drift_settings, drifted, said_course, straight
+from gyro_calib.gap.drifts import drift_settings, drifted, said_course, without_bent
 
 SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401))
 
@@ -39,10 +39,10 @@ def test_courses_are_those_of_a_leak_and_of_ageing() -> None:
 
 
 def test_the_noise_is_measured_beside_straight_drifts_alone() -> None:
-    """Beside six courses of six drifts a campaign of few recordings has no freedom left that says how far its means err."""
+    """With all courses of all drifts in its design what several recordings remember had no name of its own (`test_gap_strangers.py`)."""
     settings = [*drift_settings([SIGNALS]), {"tau": 30.0}]
     of_all = {"bias_drift": [SimpleNamespace(setting=s) for s in settings], "charge_accumulation": [SimpleNamespace(setting={"tau": 30.0})]}
-    kept = straight(cast(Any, of_all))
+    kept = without_bent(cast(Any, of_all))
     assert [c.setting for c in kept["bias_drift"]] == [{}, {"tau": 30.0}]
     assert len(kept["charge_accumulation"]) == 1
 

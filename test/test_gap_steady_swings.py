@@ -140,19 +140,15 @@ def test_a_side_band_hides_no_swing_between_its_harmonics(excited_hz: float) -> 
 
 
 def test_a_wave_that_turns_hides_no_swing_and_is_none() -> None:
-    """What goes with its azimuth has a size of its own in each recording: of one phase throughout, if they begin alike."""
-    azimuth = 2.0 * np.pi * 0.23 * ROW_S * np.arange(ROWS)
-    rng = np.random.default_rng(6)
-    turning = [
-        replace(
-            flow,
-            turning_hz=0.23,
-            azimuth_rad=azimuth,
-            rate={c: x + 1e-4 * np.cos(2.0 * azimuth) + 1e-4 * np.sin(4.0 * azimuth) for c, x in flow.rate.items()},
-        )
-        for flow in flows(rng)
-    ]
+    """What goes with its azimuth has a size of its own in each recording, even of a wave that turns on between them: that one is steady."""
+    turning = []
+    for flow in flows(np.random.default_rng(6)):
+        azimuth = 2.0 * np.pi * 0.23 * (flow.start_s + ROW_S * np.arange(ROWS))
+        more = 1e-5 * np.cos(2.0 * azimuth) + 1e-5 * np.sin(4.0 * azimuth)
+        rate = {c: x + more for c, x in flow.rate.items()}
+        turning.append(replace(flow, turning_hz=0.23, azimuth_rad=azimuth, rate=rate))
     assert find_steady_swing(turning) is None
+    assert find_steady_swing([replace(flow, turning_hz=0.0) for flow in turning]) is not None
     found = find_steady_swing(swinging(turning, "precession", 1e-5, np.full(COUNT, 0.6), 1.17))
     assert found is not None
     assert (found.channel, found.frequency_hz) == ("precession", pytest.approx(1.17, abs=0.3 / (STARTS_S[-1] - STARTS_S[0])))

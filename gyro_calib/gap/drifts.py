@@ -18,7 +18,7 @@ from .signals import Signals
 if TYPE_CHECKING:
     from .screen import Candidate, Screener
 
-__all__ = ["BENT", "COURSES", "best_course", "drift_settings", "drifted", "said_course", "straight"]
+__all__ = ["BENT", "COURSES", "best_course", "drift_settings", "drifted", "said_course", "without_bent"]
 
 FloatArray = NDArray[np.float64]
 #: settings: time constant of one that saturates, time from which on one that slows goes with the log; each with the end of the campaign
@@ -37,7 +37,7 @@ def drift_settings(signals: list[Signals]) -> list[Setting]:
     return [{}, *bent]
 
 
-def straight(candidates: Mapping[str, Sequence[Candidate]]) -> dict[str, Sequence[Candidate]]:
+def without_bent(candidates: Mapping[str, Sequence[Candidate]]) -> dict[str, Sequence[Candidate]]:
     """Effects without the bent courses: of those the noise is measured beside the loudest, a course without a name."""
     return {name: [c for c in tried if _END not in c.setting] for name, tried in candidates.items()}
 

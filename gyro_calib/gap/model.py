@@ -17,7 +17,7 @@ from .anonymous import HEATED, Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
-from .drifts import straight
+from .drifts import without_bent
 from .evidence import CHANNELS, CampaignEvidence
 from .flickers import flickers
 from .floors import course_beside_floors, hidden_by_floors
@@ -192,7 +192,7 @@ def look_at(
     report(0.75, "noise")
     plain = plain_noise(evidence, nuisances, angular_gain)
     drifts = slow_drifts(evidence, linear, flickers(evidence, linear, plain.noise))
-    told = straight(candidates)
+    told = without_bent(candidates)
     whitener, noise, excess, held = _weighed(evidence, linear, nuisances, drifts, told, bank, angular_gain, most, plain)
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     course = courses.best(screener, whitener)
