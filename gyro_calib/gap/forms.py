@@ -124,7 +124,7 @@ def _thermal_lag(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     late = behind(s, setting["tau"])
-    return [read_at_once(f"g_{n}", s, d, lambda v, k=k: one_axis(late * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+    return _of_each_reading("g", s, d, lambda v: late * v)
 
 
 def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -254,7 +254,7 @@ def _delayed(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """A carrier that is late: its envelope is, and its phase follows the reference away from the nominal frequency."""
     away = -1j * (s.omega_rad_s - s.omega0_rad_s)[:, None]
     late = _lag(s, s.pick)
-    turned = [read_at_once(f"tau_{n}", s, d, lambda v, k=k: one_axis(away * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+    turned = _of_each_reading("tau", s, d, lambda v: away * v)
     return [*turned, *(Part(f"tau_{n}", "output", one_axis(late, k)) for k, n in enumerate("xy"))]
 
 
@@ -294,11 +294,12 @@ def _fed_by_warmth(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     return [*_by_axis("output", "e", fed), *late, *across]
 
 
-def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray]) -> Form:
-    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-        return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: one_axis(f(s, v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
+def _of_each_reading(letter: str, s: Signals, d: Linear, f: Callable[[ComplexArray], ComplexArray]) -> list[Part]:
+    return [read_at_once(f"{letter}_{n}", s, d, lambda v, k=k: one_axis(f(v), k)) for k, n in enumerate("xy")]  # type: ignore[misc]
 
-    return Form(parts)
+
+def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray]) -> Form:
+    return Form(lambda s, d, g: _of_each_reading(letter, s, d, lambda v: f(s, v)))
 
 
 def _drifting_drive(factor: complex) -> Form:
@@ -306,11 +307,7 @@ def _drifting_drive(factor: complex) -> Form:
 
 
 def _drifting_reading(factor: complex) -> Form:
-    def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-        x = factor * drifted(s, setting)[:, None]
-        return [read_at_once(f"g_{n}", s, d, lambda v, k=k: one_axis(x * v, k)) for k, n in enumerate("xy")]  # type: ignore[misc]
-
-    return Form(parts, drift_settings)
+    return Form(lambda s, d, g: _of_each_reading("g", s, d, lambda v: factor * drifted(s, g)[:, None] * v), drift_settings)
 
 
 def _rate(s: Signals) -> FloatArray:
