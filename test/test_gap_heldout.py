@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import cast
 
@@ -49,21 +50,24 @@ def toy(sizes: np.ndarray, seed: int, share: float = 1.0, shown: int = COUNT) ->
     whitener = Whitener(tuple((np.eye(ROWS), np.eye(ROWS)) for _ in shapes))
     drawn = share * WANDER * rng.standard_normal(COUNT)
     target = [s * x + n + w * wander for s, x, n, w in zip(sizes, shapes, noise, drawn, strict=True)]
-    model = SimpleNamespace(
-        evidence=evidence,
-        linear=SimpleNamespace(angular_gain=0.4),
-        whitener=whitener,
-        nuisances=nuisances,
-        target=target,
-        screener=Screener(whitener, nuisances, target),
-    )
+    linear = SimpleNamespace(angular_gain=0.4)
+    model = fitted_with(SimpleNamespace(evidence=evidence, linear=linear, whitener=whitener, target=target), nuisances)
     effect = Candidate(
         "drive_nonlinearity",
         {},
         (Column("d_x", tuple((k < shown) * x.astype(complex) for k, x in enumerate(shapes)), ()),),
         np.array([10.0]),
     )
-    return cast(CampaignModel, model), effect
+    return model, effect
+
+
+def fitted_with(parts: object, nuisances: tuple[Column, ...]) -> CampaignModel:
+    """A campaign with other nuisances."""
+    model = SimpleNamespace(**{**vars(parts), "nuisances": nuisances})
+    model.screener = Screener(model.whitener, nuisances, model.target)
+    model.fitted = partial(CampaignModel.fitted, cast(CampaignModel, model))
+    model.base = model.fitted([])
+    return cast(CampaignModel, model)
 
 
 def foretold(model: CampaignModel, columns: list[Column], k: int) -> float:
@@ -123,10 +127,22 @@ def test_what_a_healthy_device_has_as_well_is_its_nuisance_no_longer() -> None:
     """A nuisance of the effect's own kind would take the gap of every recording at the cost of its prior alone."""
     model, effect = toy(np.full(COUNT, 3.0), 4)
     own = Column("drive_nonlinearity.d_x", effect.columns[0].signal, (), 0.1)
-    nuisances = (*model.nuisances, own)
-    both = SimpleNamespace(**{**vars(model), "nuisances": nuisances, "screener": Screener(model.whitener, nuisances, model.target)})
-    without, beside = shrinkage(model, [effect]), shrinkage(cast(CampaignModel, both), [effect])
+    without, beside = shrinkage(model, [effect]), shrinkage(fitted_with(model, (*model.nuisances, own)), [effect])
     assert (beside.before, beside.after) == pytest.approx((without.before, without.after))
+
+
+@pytest.mark.parametrize(("prior_sd", "closes"), [(0.1, True), (10.0, False)])
+def test_nor_is_one_that_without_the_effect_is_far_beyond_a_healthy_device_s(prior_sd: float, closes: bool) -> None:
+    """Of any name; one that is as large as it may be is a nuisance, and the effect then closes nothing that it does not."""
+    model, effect = toy(np.full(COUNT, 3.0), 4)
+    alike = Column("rate_mismatch_im", effect.columns[0].signal, (), prior_sd)
+    beside = shrinkage(fitted_with(model, (*model.nuisances, alike)), [effect])
+    without = shrinkage(model, [effect])
+    if closes:
+        assert (beside.before, beside.after) == pytest.approx((without.before, without.after), rel=0.01)
+        assert beside.closed > 0.95
+    else:
+        assert beside.before < 1.2 < without.before
 
 
 def test_what_only_a_recording_itself_tells_is_not_foretold() -> None:
@@ -139,8 +155,7 @@ def test_what_only_a_recording_itself_tells_is_not_foretold() -> None:
         for j in range(ROWS)
         for f in (1.0 + 0j, 1j)
     )
-    saturated = SimpleNamespace(**{**vars(model), "nuisances": own, "screener": Screener(model.whitener, own, model.target)})
-    shrunk = shrinkage(cast(CampaignModel, saturated), [effect])
+    shrunk = shrinkage(fitted_with(model, own), [effect])
     assert shrunk.dof == 0
     assert (shrunk.before, shrunk.after, shrunk.closed) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 

@@ -22,7 +22,7 @@ from ..recording.applied_rate import is_turned
 from .model import CampaignModel
 from .saturated import effect_columns
 from .screen import Candidate, Screener
-from .strangers import LEFT_SIGMA
+from .strangers import LEAST_GAIN, LEFT_SIGMA
 
 __all__ = ["Shrinkage", "halves", "halves_disagree", "shrinkage", "shrinkage_of_halves"]
 
@@ -243,10 +243,25 @@ class _Unseen:
 
 
 def _without_what_they_are(model: CampaignModel, chosen: Sequence[Candidate]) -> Screener:
-    """Screens beside the nuisances that are no effect among these: of what a healthy device has as well, the device without it has none."""
+    """Screens beside the nuisances that are no effect among these: of what a healthy device has as well, the device without it has none.
+
+    Nor do those count as nuisances that would have to be far beyond a healthy device's without the effects and need not be with them: a
+    late channel was a crossed rate of 42 sd of what a table's may be, and left no gap on the table itself.
+    """
     names = {c.name for c in chosen}
     kept = [c for c in model.nuisances if c.name.split(".")[0] not in names]
-    return model.screener if len(kept) == len(model.nuisances) else Screener(model.whitener, kept, model.target)
+    without, with_them = model.base.by_name(), model.fitted(chosen).by_name()
+    held = {
+        c.name: with_them[c.name]
+        for c in kept
+        if c.prior_sd > 0.0 and without[c.name] ** 2 - with_them[c.name] ** 2 > LEAST_GAIN * c.prior_sd**2
+    }
+    if len(kept) == len(model.nuisances) and not held:
+        return model.screener
+    target = [
+        side - sum((held[c.name] * c.signal[k] for c in kept if c.name in held), np.zeros_like(side)) for k, side in enumerate(model.target)
+    ]
+    return Screener(model.whitener, [c for c in kept if c.name not in held], target)
 
 
 @dataclass(frozen=True)
