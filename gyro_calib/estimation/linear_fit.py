@@ -28,11 +28,12 @@ _EXTRA_TERM = 6.0
 _DENSITIES, _REWEIGHTED, _RIDGE = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3)), 12, 1e-12
 
 
-def _subsets() -> tuple[NDArray[np.intp], NDArray[np.bool_], FloatArray]:
-    """Every subset of each density's terms: of which density, what is in it, and the diagonal that leaves the rest at zero."""
+def _subsets() -> tuple[NDArray[np.intp], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
+    """Every subset of each density's terms: of which density, what is in it, the diagonal that leaves the rest at zero; whose each is."""
     pairs = [(k, s) for k, terms in enumerate(_DENSITIES) for count in range(len(terms)) for s in combinations(terms, count + 1)]
     inside = np.array([[term in subset for term in range(4)] for _, subset in pairs])
-    return np.array([k for k, _ in pairs]), inside, np.where(inside, _RIDGE, 1.0)[:, :, None] * np.eye(4)
+    of = np.array([k for k, _ in pairs])
+    return of, inside, np.where(inside, _RIDGE, 1.0)[:, :, None] * np.eye(4), of == np.arange(len(_DENSITIES))[:, None]
 
 
 _SUBSETS = _subsets()
@@ -90,11 +91,12 @@ def _whittle_fits(basis: FloatArray, squares: FloatArray) -> FloatArray:
     """
     scale, mean = basis.max(axis=0), np.maximum(squares.mean(axis=1), 1e-300)[:, None]
     basis, squares = basis / scale, squares / mean
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(basis), -1)
     expected = np.ones((len(squares), len(_DENSITIES), squares.shape[1]))
     for _ in range(_REWEIGHTED):
-        weighted = basis / expected[..., None]
-        sides = weighted.swapaxes(2, 3)
-        coefficients = _non_negative(sides @ weighted, (sides @ (squares[:, None] / expected)[..., None])[..., 0])
+        weight = expected**-2.0
+        gram = (weight @ products).reshape(*weight.shape[:2], 4, 4)
+        coefficients = _non_negative(gram, (weight * squares[:, None]) @ basis)
         expected = np.maximum(coefficients @ basis.T, 1e-4)
     return np.asarray(coefficients * mean[..., None] / scale)
 
@@ -103,11 +105,11 @@ def _non_negative(gram: FloatArray, moments: FloatArray) -> FloatArray:
     """Non-negative least squares of every density: of all its terms' subsets that one whose free solution is positive and explains most."""
     size = np.sqrt(np.diagonal(gram, axis1=2, axis2=3))
     gram, moments = gram / (size[..., :, None] * size[..., None, :]), moments / size
-    of, inside, alone = _SUBSETS
+    of, inside, alone, own = _SUBSETS
     right = np.where(inside, moments[:, of], 0.0)
     solved = np.linalg.solve(np.where(inside[:, :, None] & inside[:, None, :], gram[:, of], 0.0) + alone, right[..., None])[..., 0]
     explained = np.where((solved >= 0.0).all(axis=2), np.sum(solved * right, axis=2), -np.inf)
-    best = np.stack([np.argmax(np.where(of == k, explained, -np.inf), axis=1) for k in range(len(_DENSITIES))], axis=1)
+    best = np.argmax(np.where(own, explained[:, None], -np.inf), axis=2)
     return np.asarray(np.maximum(np.take_along_axis(solved, best[..., None], axis=1), 0.0) / size)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,10 +100,12 @@ class WaveData:
         return cls(recordings, omega0, wander, _GAIN_WANDER, layout, signal, quiet, slow_forces(recordings, signal))
 
     def subset(self, indices: list[int]) -> WaveData:
-        """The same for some of the recordings."""
+        """The same for some of the recordings; whether the drives are late is a property of the device that all of them told."""
         recordings = [self.recordings[i] for i in indices]
         signal, quiet = ([projected[i] for i in indices] for projected in (self.signal, self.quiet))
         layout, slow = Layout.of(recordings, self.omega0, _farthest(signal)), [self.slow[i] for i in indices]
+        if not self.base.lagging:
+            layout = replace(layout, lagging=False)
         return WaveData(recordings, self.omega0, self.wander, self.gain_wander, layout, signal, quiet, slow)
 
     def with_wander(self, solution: LinearFit) -> WaveData:
@@ -215,10 +217,12 @@ class WaveData:
             parts.append(p.gram * np.outer(flat, flat) + p.slope_gram * np.outer(steep, steep))
         return parts[0], parts[1]
 
-    def quiet_noise(self, layout: Layout, solution: LinearFit) -> Noise:
+    def quiet_noise(self, layout: Layout, solution: LinearFit, wanted: Callable[[Recording], bool] = lambda r: True) -> Noise:
         """Noise of each recording and channel at its quiet lines alone: what the signal's lines are judged by."""
         noise: Noise = {}
         for i, (lines, slopes, left) in enumerate(self._quiet_residuals(layout, solution)):
+            if not wanted(self.recordings[i]):
+                continue
             lowest = 0.3 / self.recordings[i].duration_s
             squares = np.stack([_part(left, k) for k in range(len(CHANNELS))]) ** 2
             for channel, model in zip(CHANNELS, fit_noises(lines, squares, lowest, slopes), strict=True):
@@ -234,7 +238,7 @@ class WaveData:
         what all closed-loop recordings have in common, because a recording that looked quiet there by chance would pull the fit onto
         itself, look quieter still, and so on. The flicker that ``weights`` already allow for is taken out.
         """
-        samples, quiet = self._samples(layout, solution, weights), self.quiet_noise(layout, solution)
+        samples, quiet = self._samples(layout, solution, weights), self.quiet_noise(layout, solution, is_turned)
         longest: dict[str, float] = {}
         for r in self.recordings:
             longest[role_of(r)] = max(longest.get(role_of(r), 0.0), r.duration_s)

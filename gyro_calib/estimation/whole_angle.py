@@ -21,7 +21,7 @@ from .result import CalibrationResult, ConvergencePoint, MissionChannel
 from .separation import Priors
 from .slow_flow_data import TEMPERATURE_WINDOW_K
 from .wave_data import WaveData
-from .whole_angle_fit import WholeAngleEstimate, fit_wave_data, usable_wave_recordings
+from .whole_angle_fit import WholeAngleEstimate, fit_wave_data, usable_wave_recordings, without_needless_lag
 from .whole_angle_values import Derived, WholeAngleValues, unit_of
 
 __all__ = ["calibrate_whole_angle"]
@@ -81,7 +81,7 @@ def calibrate_whole_angle(
     )
     decay = math.pi * float(campaign.factory.get("nominal_f0_hz", 0.0)) / float(campaign.factory.get("nominal_q", math.inf))
     twice = bool(campaign.factory.get("drive_at_twice_frequency", False))
-    data = WaveData.of(recordings, decay, amplitude if twice else None)
+    data = without_needless_lag(WaveData.of(recordings, decay, amplitude if twice else None))
     estimate = fit_wave_data(data)
     if on_progress is not None:
         on_progress(0.5)

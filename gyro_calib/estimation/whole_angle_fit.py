@@ -36,7 +36,7 @@ from .wave_layout import Layout
 from .wave_projection import in_wave_frame
 from .wave_terms import TERMS, Term
 
-__all__ = ["WholeAngleEstimate", "fit_wave_data", "fit_whole_angle", "usable_wave_recordings"]
+__all__ = ["WholeAngleEstimate", "fit_wave_data", "fit_whole_angle", "usable_wave_recordings", "without_needless_lag"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -144,18 +144,17 @@ def fit_whole_angle(
             "Recordings must include mode whole_angle, but got "
             f"{', '.join(sorted({r.command.mode for r in recordings})) or 'none'}. Record virtual precession of both senses."
         )
-    return fit_wave_data(WaveData.of(recordings, decay_rate, drive_amplitude_v), terms)
+    return fit_wave_data(without_needless_lag(WaveData.of(recordings, decay_rate, drive_amplitude_v)), terms)
 
 
 def fit_wave_data(data: WaveData, terms: tuple[str, ...] | None = None) -> WholeAngleEstimate:
-    """:func:`fit_whole_angle` of recordings that are projected already."""
-    data = _without_lag(data)
+    """:func:`fit_whole_angle` of recordings that are projected already, and rid of a lag that they exclude."""
     if terms is not None:
         return _estimate(_fit(data, tuple(t for t in TERMS if t.name in terms)), {})
     return _selected(data)
 
 
-def _without_lag(data: WaveData) -> WaveData:
+def without_needless_lag(data: WaveData) -> WaveData:
     """The same without a lag of the drives, where the data exclude one sample of the converters and ask for none.
 
     A record is late by samples or not at all (what looks like a part of one is something else, seen in switched drives); a lag left free in
