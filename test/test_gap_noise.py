@@ -7,15 +7,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
-from typing import cast
 from unittest import mock
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gyro_calib.estimation.projection import test_functions as functions_on
 from gyro_calib.gap import diagnose
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.columns import form_columns
@@ -24,13 +21,12 @@ from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.linear_device import quiet_target_of, target_of
 from gyro_calib.gap.model import CampaignModel, _wander_of_means, look_at
 from gyro_calib.gap.noise import _parts, _tamed, _wandering_all_the_same, measured_noise, plain_noise
-from gyro_calib.gap.noise_law import PICKOFF, WHITE, Grams, Lines, NoiseLaw
+from gyro_calib.gap.noise_law import PICKOFF, WHITE, NoiseLaw
 from gyro_calib.gap.parts import SKEW
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.saturated import saturated_columns, with_twins
 from gyro_calib.gap.screen import Screened
 from gyro_calib.gap.select import _alike, _best_refined, _between_settings, _with_unlike_pickoffs, best_of_each, select_effects
-from gyro_calib.gap.signals import Projector, Signals
 from gyro_calib.gap.strangers import MARGIN, bank_terms, worth_of
 from gyro_calib.gap.thermometer import OWN
 from gyro_calib.recording.applied_rate import is_turned
@@ -116,6 +112,7 @@ def test_no_kind_of_record_is_silenced_before_it_was_heard() -> None:
     assert tamed["ring", "amplitude"].mean == loud.mean
 
 
+@pytest.mark.slow
 def test_the_pickoffs_of_a_hemisphere_are_as_quiet_in_a_ring_down() -> None:
     """One pair of pick-offs: their noise does not depend on what the wave does. It was taken for a thousand times as much."""
     noise = healthy("hemisphere").noise
@@ -311,32 +308,7 @@ def test_a_record_has_one_frequency_of_its_own_and_no_second_one() -> None:
         assert law.slow(lines)[mean] <= 0.05 * law.slow(carried_on)[mean]
 
 
-def test_a_walk_is_alike_at_the_ends_of_its_record_on_every_line() -> None:
-    """White noise's correlations in its place believed the top lines of a turned ring 3.4 times too well, and it stiffened."""
-    row_s, rows = 0.01, 1000
-    f = functions_on(np.arange(rows) * row_s, row_s, [0.1 * k for k in range(16)])
-    projector = Projector(cast(Signals, SimpleNamespace(row_s=row_s)), f.frequency_hz, f.value, f.first, f.second)
-    grams = Grams(row_s * (f.value @ f.value.T), projector.walk_gram)
-    rng = np.random.default_rng(8)
-    # of densities 1 and 1/f^2
-    walk = 2.0 * np.pi * np.cumsum(rng.standard_normal((4000, rows)), axis=1) * np.sqrt(row_s)
-    walk -= walk.mean(axis=1, keepdims=True)
-    white = rng.standard_normal((4000, rows)) / np.sqrt(row_s)
-    seen = row_s * (1.3 * walk + 2.0 * white) @ f.value.T
-    is_mean = f.frequency_hz == 0.0
-    lines = Lines(np.where(is_mean, 1.0, f.frequency_hz), np.zeros(31), 1.0, is_mean, np.diag(grams.walk))
-    told = NoiseLaw((2.0**2, 0.0, 0.0, 1.3**2)).covariance(lines, grams)
-    np.testing.assert_allclose(np.diag(told), NoiseLaw((2.0**2, 0.0, 0.0, 1.3**2)).density(lines))
-    whitened = np.linalg.solve(np.linalg.cholesky(told[1:, 1:]), seen.T[1:])
-    np.testing.assert_allclose(np.mean(whitened**2, axis=1), 1.0, atol=0.12)
-    assert np.abs(np.corrcoef(whitened) - np.eye(len(whitened))).max() < 0.15
-    # as it was: each line by itself, alike as white noise is
-    walked = NoiseLaw((0.0, 0.0, 0.0, 1.0)).covariance(lines, grams)[1:, 1:]
-    believed = grams.value[1:, 1:] / np.outer(f.frequency_hz[1:], f.frequency_hz[1:])
-    factor = np.linalg.inv(np.linalg.cholesky(believed))
-    assert np.diag(factor @ walked @ factor.T).max() > 3.0
-
-
+@pytest.mark.slow
 def test_a_walk_of_a_wave_that_turns_is_correlated_as_one_that_stands() -> None:
     """A clean hemisphere's table records held a centrifugal stiffness of 45 in chi-square by the correlations of white noise."""
     rng, worst = np.random.default_rng(9), 0.0
@@ -392,6 +364,7 @@ def means_left(model: CampaignModel, key: tuple[str, str]) -> tuple[float, float
     return squares, free
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_left_alone_must_count_by_itself() -> None:
     model = healthy("hemisphere")
     best = best_of_each(model.screener, model.candidates)[0]
