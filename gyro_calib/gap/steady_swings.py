@@ -19,7 +19,7 @@ from .evidence import CHANNELS
 from .flow_left import FlowLeft
 from .swings import HIGHEST_HZ, SHORTEST_S, Kind, Swing, is_imaged, kinds_of
 
-__all__ = ["find_steady_swing"]
+__all__ = ["besides", "find_steady_swing", "floors_of"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,7 +84,7 @@ class _Record:
     def __init__(self, flow: FlowLeft) -> None:
         self._flow = flow
         self._window = np.hanning(len(flow.azimuth_rad) + 2)[1:-1]
-        self._besides = _besides(flow, self._window)
+        self._besides = besides(flow, self._window)
         whole = float(self._window.sum())
         self._f, held = self._about_its_middle(self._window[:, None] * self._besides)
         # at twice a frequency the window alone hears next to nothing, but of the lowest ones
@@ -181,11 +181,11 @@ def _evidence(heard: _Heard) -> FloatArray:
 def _heard(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: FloatArray, channel: str) -> _Heard:
     """By record over its floor, shape (records, frequencies) each."""
     flows = [flow for kind in kinds for flow in kind.flows]
-    found = [records[id(flow)].heard(channel, grid, floor) for flow, floor in zip(flows, _floors(kinds, grid), strict=True)]
+    found = [records[id(flow)].heard(channel, grid, floor) for flow, floor in zip(flows, floors_of(kinds, grid), strict=True)]
     return _Heard(np.array([h.H for h in found]), np.array([h.a for h in found]), np.array([h.b for h in found]))
 
 
-def _besides(flow: FlowLeft, window: FloatArray) -> FloatArray:
+def besides(flow: FlowLeft, window: FloatArray) -> FloatArray:
     """What else moves in a record, orthonormal under its window, shape (n, k)."""
     n = len(window)
     place = np.linspace(-1.0, 1.0, n)
@@ -203,7 +203,7 @@ def _besides(flow: FlowLeft, window: FloatArray) -> FloatArray:
     return np.asarray(together @ (axes[:, apart] / np.sqrt(size[apart])))
 
 
-def _floors(kinds: Sequence[Kind], grid: FloatArray) -> FloatArray:
+def floors_of(kinds: Sequence[Kind], grid: FloatArray) -> FloatArray:
     """By record. Of a kind of few not below that of most records: no bin near the mean tells it, and all are of one device that wanders."""
     counts = [len(kind.flows) for kind in kinds]
     floors = np.repeat([kind.law(grid) for kind in kinds], counts, axis=0)
