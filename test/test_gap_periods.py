@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from flow_samples import ROW_S, quiet_flows
 
 from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.flow_left import FlowLeft
@@ -14,34 +14,15 @@ from gyro_calib.gap.periods import _log_upper_tail, find_period
 from gyro_calib.gap.steady_swings import find_steady_swing
 from gyro_calib.gap.swings import find_swing
 
-ROW_S, ROWS, COUNT = 0.01, 1000, 20
+ROWS, COUNT = 1000, 20
 #: one after the other, as a plan of one device runs
 EVERY_S = 10.6
 PERIOD_S = 11.9
-#: of a gain of forces and of a walk [1/s]
-FORCED, WALK = 2e-5, 1e-7
 
 
 def flows(rng: np.random.Generator) -> list[FlowLeft]:
     """Recordings of two kinds, one of which has a side band."""
-
-    def noise() -> NDArray[np.float64]:
-        return FORCED * rng.standard_normal(ROWS) + WALK * np.cumsum(rng.standard_normal(ROWS))
-
-    return [
-        FlowLeft(
-            f"run_{k}",
-            ("ftr_x", float(k % 2), False),
-            ROW_S,
-            15030.0,
-            0.5 * (k % 2),
-            0.0,
-            {c: noise() for c in CHANNELS},
-            np.zeros(ROWS),
-            EVERY_S * k,
-        )
-        for k in range(COUNT)
-    ]
+    return quiet_flows(rng, (EVERY_S * np.arange(COUNT)).tolist(), ROWS, 0.5)
 
 
 def with_waveform(

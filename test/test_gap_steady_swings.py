@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flow_samples import ROW_S, WALK, quiet_flows
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -14,28 +15,15 @@ from gyro_calib.gap.flow_left import FlowLeft
 from gyro_calib.gap.steady_swings import find_steady_swing
 from gyro_calib.gap.swings import find_swing
 
-ROW_S, ROWS, COUNT = 0.01, 900, 12
+ROWS, COUNT = 900, 12
 #: about every seventeen seconds a recording of nine
-STARTS_S, LABELS = 3.21 + 17.0 * np.arange(COUNT) + 3.0 * np.sin(7.0 * np.arange(COUNT)), [f"static_{k}" for k in range(COUNT)]
-#: no harmonic of it is folded near what swings
-CARRIER_HZ = 15030.0
+STARTS_S = 3.21 + 17.0 * np.arange(COUNT) + 3.0 * np.sin(7.0 * np.arange(COUNT))
 SWING_HZ = 0.43
-#: of a gain of forces and of a walk [1/s]
-FORCED, WALK = 2e-5, 1e-7
 
 
 def flows(rng: np.random.Generator) -> list[FlowLeft]:
     """Recordings at rest of two kinds."""
-
-    def noise() -> NDArray[np.float64]:
-        return FORCED * rng.standard_normal(ROWS) + WALK * np.cumsum(rng.standard_normal(ROWS))
-
-    return [
-        FlowLeft(
-            label, ("ftr_x", float(k % 2), False), ROW_S, CARRIER_HZ, 0.0, 0.0, {c: noise() for c in CHANNELS}, np.zeros(ROWS), start_s
-        )
-        for k, (label, start_s) in enumerate(zip(LABELS, STARTS_S, strict=True))
-    ]
+    return quiet_flows(rng, STARTS_S.tolist(), ROWS)
 
 
 def swinging(of: list[FlowLeft], channel: str, size: float, phases: NDArray[np.float64], hz: float = SWING_HZ) -> list[FlowLeft]:

@@ -125,6 +125,7 @@ def _evidence(told: _Told) -> float:
     Common power over all power is a beta of half as many degrees as either has; how many that are the moved records tell.
     """
     whole = max(float(told.each().sum()), 1e-300)
+    # the same moves at every call: what is said of a campaign does not change from one to the next
     rng = np.random.default_rng(len(told.score))
     chance = told.moved(rng.random((_MOVES, len(told.score)))).common() / whole
     mean, variance = float(chance.mean()), float(chance.var())
