@@ -31,7 +31,7 @@ _HARMONICS, _SLOWEST, _FASTEST, _STEP = 3, 3.0, 0.4, 0.25
 _IN_A_CYCLE = 8.0
 #: mean of the phases at which records begin, beyond which a period is that of the commands: what settles after each would have it too
 _OF_COMMANDS = 0.6
-#: fewest records that tell it, and log evidence beyond the search from which on it is one
+#: fewest records that tell it, and log evidence beyond the search from which on it is one (67 campaigns without one came to 1.9 at most)
 _FEWEST, _MARGIN = 8, 8.0
 #: share of the largest below which two directions are one; random moves of the records
 _ALIKE, _MOVES = 1e-3, 400
