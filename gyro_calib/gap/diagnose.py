@@ -87,7 +87,6 @@ def diagnose(
     report(0.7, "selecting effects")
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
-    period = None if swings else find_period(flows)
     beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out, swings), model, recordings, left_out)
     beside = with_gain_flicker(beside, model.evidence, model.linear, model.noise, left_out)
     selection = select_effects(model)
@@ -108,7 +107,7 @@ def diagnose(
         or _not_of_its_form(model, selection, shrinkage_of_halves(model, chosen))
         or (None if beside.effects else _more_than_they_say(model, selection, shrunk))
     )
-    unknown = unknown or (None if beside.effects else _within_recordings(flows, swings, period, bool(effects)))
+    unknown = unknown or (None if beside.effects else _within_recordings(flows, swings, bool(effects)))
     if (loud := loudest(model)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
@@ -265,12 +264,13 @@ def _more_than_they_say(model: CampaignModel, selection: Selection, shrunk: Shri
     return _unknown(unnamed_rest(model, [e.candidate for e in selection.effects]))
 
 
-def _within_recordings(flows: Sequence[FlowLeft], swings: Sequence[Swing], period: Swing | None, with_effects: bool) -> Unknown | None:
+def _within_recordings(flows: Sequence[FlowLeft], swings: Sequence[Swing], with_effects: bool) -> Unknown | None:
     """What swings or jumps within recordings, which no line tells.
 
     Effects may do so where a side band or a turning wave takes them along, and settle after a command; at rest they do not swing, and
     have no period of the device's clock.
     """
+    period = None if swings else find_period(flows)
     moves: list[Swing | Jumps | None] = [*swings, period, find_jumps(flows)]
     if with_effects:
         still = [flow for flow in flows if flow.is_still]

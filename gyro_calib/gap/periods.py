@@ -1,6 +1,6 @@
 """Something goes to and fro as slowly as a record lasts, and as no cosine: a heater that a thermostat switches, a supply that hiccups.
 
-Within one record its harmonics are a bin apart or less, and none of them is told from the others, nor from a mean and a slope: a search
+Within one record its harmonics are one or two bins apart or less, and none is told from the others, nor from a mean and a slope: a search
 cosine by cosine (:mod:`.steady_swings`) finds each record disturbed by all but the one that it asks for. Here a mean waveform of a few
 harmonics is asked for, the same on the device's clock in every record. What of a record's disturbance is common is a share of its power;
 records moved against one another at random on the clock tell how large that share is by chance, whatever their floors are like.
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln, hyp2f1
+from scipy.special import betainc, betaln, hyp2f1
 
 from .evidence import CHANNELS
 from .flow_left import FlowLeft
@@ -25,16 +25,16 @@ __all__ = ["find_period"]
 
 FloatArray = NDArray[np.float64]
 #: harmonics of the waveform; slowest and fastest period, in records of the usual length; distance of the periods that are tried, over
-#: what one campaign tells apart
-_HARMONICS, _SLOWEST, _FASTEST, _STEP = 3, 3.0, 0.4, 0.25
+#: what one campaign tells apart, and how many are tried at most, of a campaign of hours the slower ones
+_HARMONICS, _SLOWEST, _FASTEST, _STEP, _MOST = 3, 3.0, 0.4, 0.25, 4000
 #: rows of a record that are kept in the shortest cycle
 _IN_A_CYCLE = 8.0
 #: mean of the phases at which records begin, beyond which a period is that of the commands: what settles after each would have it too
 _OF_COMMANDS = 0.6
-#: fewest records that tell it, and log evidence beyond the search from which on it is one (67 campaigns without one came to 1.9 at most)
+#: fewest records that tell it, and log evidence beyond the search from which on it is one (67 without one came to 4.5 at most: chance, 4.2)
 _FEWEST, _MARGIN = 8, 8.0
-#: share of the largest below which two directions are one; random moves of the records
-_ALIKE, _MOVES = 1e-3, 400
+#: share of the largest below which two directions are one; random moves of the records; least chance that a double holds
+_ALIKE, _MOVES, _LEAST_CHANCE = 1e-3, 400, 1e-280
 
 
 @dataclass(frozen=True)
@@ -43,25 +43,21 @@ class _Told:
 
     Parameters
     ----------
-    score : ndarray, shape (records, k)
-        Towards the sizes that each asks for.
-    information : ndarray, shape (records, k, k)
+    score : ndarray, shape (..., records, k)
+        Towards the sizes that each asks for, ``k`` of cos and sin of every harmonic; before the records periods, or moves.
+    information : ndarray, shape (..., records, k, k)
     """
 
     score: FloatArray
     information: FloatArray
 
     def each(self) -> FloatArray:
-        """Power that each has of its own, shape (records,)."""
+        """Power that each has of its own, shape (..., records)."""
         return _power(self.score, self.information)
 
     def common(self) -> FloatArray:
         """Power that is common, shape (...,)."""
         return _power(self.score.sum(axis=-2), self.information.sum(axis=-3))
-
-    def without(self, k: int) -> _Told:
-        """All but one."""
-        return _Told(np.delete(self.score, k, axis=0), np.delete(self.information, k, axis=0))
 
     def moved(self, turns: FloatArray) -> _Told:
         """Each by shares of the period, shape (moves, records): what goes with cos and sin of the harmonics turns."""
@@ -88,7 +84,7 @@ def find_period(flows: Sequence[FlowLeft]) -> Swing | None:
     rare = [_rarely(flow, usual_s * _FASTEST / _HARMONICS / _IN_A_CYCLE) for flow in long_enough]
     span_s = max(f.start_s + f.duration_s for f in rare) - min(f.start_s for f in rare)
     step = _STEP / (span_s * _HARMONICS)
-    grid = np.arange(1.0 / (_SLOWEST * usual_s), 1.0 / (_FASTEST * usual_s), step)
+    grid = np.arange(1.0 / (_SLOWEST * usual_s), 1.0 / (_FASTEST * usual_s), step)[:_MOST]
     begun = np.exp(2j * np.pi * grid[:, None, None] * (1.0 + np.arange(_HARMONICS)) * np.array([[f.start_s] for f in rare]))
     grid = grid[np.abs(begun.mean(axis=1)).max(axis=1) < _OF_COMMANDS]
     if not grid.size:
@@ -105,17 +101,13 @@ def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], channel: 
         return None
     asked = grid[:, None] * (1.0 + np.arange(_HARMONICS))
     floors = floors_of(kinds, asked.ravel()).reshape(len(members), *asked.shape)
-    heard = [record.heard(channel, floor) for record, floor in zip(members, floors, strict=True)]
-    score, information = np.stack([h.score for h in heard], axis=1), np.stack([h.information for h in heard], axis=1)
-    together = _power(score.sum(axis=1), information.sum(axis=1))
-    alone = _power(score, information).sum(axis=1)
-    shares = together / np.maximum(alone, 1e-300)
-    best = int(np.argmax(shares))
-    told = _Told(score[best], information[best])
-    if _evidence(told) - searched <= _MARGIN:
+    if not np.all(floors > 0.0):
         return None
-    # one record alone may have been disturbed
-    beyond = min(_evidence(told.without(k)) for k in range(len(members))) - searched
+    heard = [record.heard(channel, floor) for record, floor in zip(members, floors, strict=True)]
+    of_all = _Told(np.stack([h.score for h in heard], axis=1), np.stack([h.information for h in heard], axis=1))
+    best = int(np.argmax(of_all.common() / np.maximum(of_all.each().sum(axis=1), 1e-300)))
+    # one record that was disturbed is as much of it wherever it is moved
+    beyond = _evidence(_Told(of_all.score[best], of_all.information[best])) - searched
     return Swing(channel, float(grid[best]), beyond, len(members)) if beyond > _MARGIN else None
 
 
@@ -128,14 +120,19 @@ def _evidence(told: _Told) -> float:
     # the same moves at every call: what is said of a campaign does not change from one to the next
     rng = np.random.default_rng(len(told.score))
     chance = told.moved(rng.random((_MOVES, len(told.score)))).common() / whole
-    mean, variance = float(chance.mean()), float(chance.var())
-    size = mean * (1.0 - mean) / max(variance, 1e-300) - 1.0
-    return -_log_upper_tail(float(told.common()) / whole, mean * size, (1.0 - mean) * size)
+    share, mean, variance = float(told.common()) / whole, float(chance.mean()), float(chance.var())
+    if share <= mean or variance == 0.0:
+        return 0.0
+    size = mean * (1.0 - mean) / variance - 1.0
+    return -_log_upper_tail(share, mean * size, (1.0 - mean) * size)
 
 
 def _log_upper_tail(x: float, a: float, b: float) -> float:
     """Log of the chance of a beta variable to be larger than x, however small it is."""
     rest = 1.0 - min(x, 1.0 - 1e-12)
+    tail = float(betainc(b, a, rest))
+    if tail > _LEAST_CHANCE:
+        return math.log(tail)
     return float(a * math.log1p(-rest) + b * math.log(rest) - math.log(b) - betaln(a, b) + math.log(hyp2f1(a + b, 1.0, b + 1.0, rest)))
 
 
@@ -150,30 +147,30 @@ class _Record:
     """
 
     def __init__(self, flow: FlowLeft, grid: FloatArray) -> None:
-        self._flow = flow
+        self._row_s = flow.row_s
         self._window = np.hanning(len(flow.azimuth_rad) + 2)[1:-1]
-        self._aside = besides(flow, self._window)
+        aside = besides(flow, self._window)
         t = flow.start_s + flow.row_s * np.arange(len(self._window))
         first = np.exp(2j * np.pi * grid[:, None] * t)
         harmonics = np.stack([first ** (k + 1) for k in range(_HARMONICS)], axis=1)
-        #: cos and sin of every harmonic, shape (periods, k, rows)
-        self._waves = np.stack([harmonics.real, harmonics.imag], axis=2).reshape(grid.size, 2 * _HARMONICS, -1)
-        heard = self._waves * self._window
-        beside = heard @ self._aside
-        self._gram = heard @ self._waves.swapaxes(1, 2) - beside @ beside.swapaxes(1, 2)
+        # cos and sin of every harmonic, shape (periods, k, rows)
+        waves = np.stack([harmonics.real, harmonics.imag], axis=2).reshape(grid.size, 2 * _HARMONICS, -1)
+        heard = waves * self._window
+        beside = heard @ aside
+        self._gram = heard @ waves.swapaxes(1, 2) - beside @ beside.swapaxes(1, 2)
+        self._sums = {c: heard @ (x - aside @ (aside.T @ (self._window * x))) for c, x in flow.rate.items()}
         size, axes = np.linalg.eigh(self._gram)
         inverse = np.where(size > _ALIKE * size[:, -1:], 1.0 / np.maximum(size, 1e-300), 0.0)
         self._inverse = (axes * inverse[:, None]) @ axes.swapaxes(1, 2)
 
     def heard(self, channel: str, floor: FloatArray) -> _Told:
-        """Of a channel at every period, shape (periods, k) and (periods, k, k); ``floor``: shape (periods, harmonics)."""
-        x, window = self._flow.rate[channel], self._window
-        left = window * (x - self._aside @ (self._aside.T @ (window * x)))
+        """Of a channel at every period, in the records' place; ``floor``: density, shape (periods, harmonics)."""
+        window = self._window
         # noise of density S(f) is heard with the window's square; between two harmonics it is the mean of what both have
-        noise = np.sqrt(np.repeat(floor, 2, axis=1) * float(np.sum(window**2) / window.sum()) / self._flow.row_s)
+        noise = np.sqrt(np.repeat(floor, 2, axis=1) * float(np.sum(window**2) / window.sum()) / self._row_s)
         # what is heard is gram times the sizes, and noise of covariance noise gram noise
         towards = (self._gram / noise[:, None]) @ self._inverse
-        score = np.squeeze(towards @ (self._waves @ left / noise)[..., None], axis=2)
+        score = np.squeeze(towards @ (self._sums[channel] / noise)[..., None], axis=2)
         return _Told(score, towards @ (self._gram / noise[:, :, None]))
 
 
