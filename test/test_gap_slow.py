@@ -19,7 +19,7 @@ from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.gap.screen import Screener
 from gyro_calib.gap.select import select_effects
-from gyro_calib.gap.sizes import gained_by_resizing, measured_shares, with_shares
+from gyro_calib.gap.sizes import _SIZES, _likelihood, _scores, gained_by_resizing, measured_shares, with_shares
 from gyro_calib.gap.slow import drift_family, slow_drifts
 from gyro_calib.gap.system import Solution
 from gyro_calib.recording.recording import Campaign
@@ -250,3 +250,14 @@ def test_what_one_recording_alone_tells_is_no_drift() -> None:
         assert found is not None
         assert found.gain > 25.0
         assert told_by_several(strange, found, []) is several
+
+
+@pytest.mark.parametrize("families", ["a", "abab" * 6, "abc" * 30])
+def test_likelihoods_of_all_sizes_at_once_are_those_of_each(families: str) -> None:
+    rng = np.random.default_rng(len(families))
+    told = rng.normal(size=(len(families), 2 * len(families))) * 10.0 ** rng.uniform(-1.0, 1.5, (len(families), 1))
+    data, information = told @ told.T, rng.normal(size=len(families)) * np.linalg.norm(told, axis=1)
+    sizes = {name: float(10.0 ** rng.uniform(-2.0, 0.0)) for name in set(families)}
+    for name in sizes:
+        each = [_likelihood(data, information, list(families), {**sizes, name: float(s)}) for s in _SIZES]
+        assert _scores(data, information, list(families), sizes, name) == pytest.approx(each, abs=1e-6)

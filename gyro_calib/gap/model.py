@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,26 +17,25 @@ from .anonymous import HEATED, Anonymous, anonymous_candidates
 from .candidates import candidate_at, candidates_of
 from .column import Column
 from .courses import Courses, courses_of
+from .device_fit import first_linear, fitted_device, nuisances_of
 from .drifts import without_bent
 from .evidence import CHANNELS, CampaignEvidence
 from .flickers import flickers
 from .floors import course_beside_floors, hidden_by_floors
-from .followed import followed_of
-from .linear_device import frequency_columns, knows_its_resonance, linear_columns, linear_of, target_of
+from .linear_device import target_of
 from .missing import missing_of, needed_by
 from .monomials import LATE, RISING, WARM_FED
-from .noise import PlainNoise, first_noise, measured_noise, plain_noise, remeasured, with_repeats
-from .nuisance import slow_columns, thermal_columns, wander_columns
+from .noise import PlainNoise, measured_noise, plain_noise, remeasured, with_repeats
+from .nuisance import slow_columns
 from .parts import Linear, Setting
 from .preflight import check_linear
-from .rate_table import gain_as_read, healthy_phases, in_time, rate_columns, steps_of
+from .rate_table import healthy_phases
 from .saturated import columns_of_time, counting, effect_columns, is_of_time, saturated_columns
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
 from .thermometer import THERMOMETER, own_columns, sensor_late_s, thermometer_columns
-from .wander import wander_within
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -47,8 +46,6 @@ _WANDER = 5e-8
 _STRANGE = ("amplitude", "azimuth", "drive", "temperature")
 #: log evidence of a course of time from which on it is allowed for when the noise is measured: what any unnamed term must have
 _COURSE = 15.0
-#: delay and length of a table's steps from which on its log is mended [s], and how often
-_TABLE_S, _TABLE_ROUNDS = 5e-4, 2
 #: noise of a recording that shall say nothing, over its own, in power
 _SILENT = 1e8
 
@@ -168,19 +165,15 @@ def look_at(
     evidence = CampaignEvidence.of(recordings, decay_rate)
     report(0.25, "fitting the linear device")
     wander, most = _WANDER * evidence.omega0_rad_s, MOST_WANDER * evidence.omega0_rad_s
-    linear, rough = _linear(evidence, _first(evidence, wander), angular_gain, 0.0)
+    linear, rough = first_linear(evidence, angular_gain, wander)
     check_linear(linear, rough, recordings, decay_rate)
-    # what feeds through does not resonate: once E is known the frequency's column is right
-    linear, _ = _linear(evidence, _nuisances(evidence, linear, wander, wander), angular_gain, angular_gain)
-    linear, values = _resonant(evidence, _nuisances(evidence, linear, most, most), angular_gain)
-    angular_gain = gain_as_read(angular_gain, values)
-    linear = replace(linear, angular_gain=angular_gain)
-    evidence, linear, values, late_s = _in_time(evidence, linear, values, angular_gain, most)
+    evidence, linear, values, late_s = fitted_device(evidence, linear, angular_gain, wander, most)
+    angular_gain = linear.angular_gain
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
-    nuisances = healthy_phases(_nuisances(evidence, linear, most, wander), angular_gain, values)
+    nuisances = healthy_phases(nuisances_of(evidence, linear, most, wander), angular_gain, values)
     nuisances = [*nuisances, *errs, *own_columns(evidence, linear, values)]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     missing = missing_of(evidence)
@@ -330,71 +323,3 @@ def _random_family(evidence: CampaignEvidence) -> Family:
     """
     waves = {f"{kind}_{r.index}": kind for r in evidence for kind in ("shift", "slide") if r.is_wave}
     return lambda c: waves.get(c.name) or drift_family(c)
-
-
-def _first(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
-    """What a device is fitted with of which nothing is known."""
-    return [
-        *linear_columns(evidence),
-        *rate_columns(evidence, rate_known=False),
-        *frequency_columns(evidence),
-        *wander_columns(evidence, wander_rad_s, wander_rad_s),
-    ]
-
-
-def _nuisances(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
-    return [
-        *linear_columns(evidence, linear),
-        *rate_columns(evidence),
-        *frequency_columns(evidence),
-        *thermal_columns(evidence, linear),
-        *wander_columns(evidence, wander_rad_s, open_drive_rad_s),
-    ]
-
-
-def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: float, known_gain: float) -> tuple[Linear, dict[str, float]]:
-    """The linear device of a fit with rough noise, and all its values; ``known_gain``: response to rate that is taken as known."""
-    whitener = Whitener.of(evidence, first_noise(evidence))
-    target = whitener.rows(target_of(evidence, known_gain))
-    return _told(evidence, columns, whitener, target, angular_gain)
-
-
-def _resonant(evidence: CampaignEvidence, columns: list[Column], angular_gain: float) -> tuple[Linear, dict[str, float]]:
-    """The linear device, and all values, with where its resonance lay in every record.
-
-    That asks for noise of the right size, of a fit without effects.
-    """
-    noise, excess = measured_noise(evidence, columns, columns, angular_gain)
-    whitener = Whitener.of(evidence, noise, excess)
-    return _told(evidence, columns, whitener, whitener.rows(target_of(evidence, angular_gain)), angular_gain)
-
-
-def _told(
-    evidence: CampaignEvidence, columns: list[Column], whitener: Whitener, target: NDArray[np.float64], angular_gain: float
-) -> tuple[Linear, dict[str, float]]:
-    """The linear device, with where its resonance lay, and all values of a fit."""
-    design = whitener.design(columns, len(evidence))
-    solution = solve(columns, design, target)
-    values = solution.by_name()
-    if not knows_its_resonance(evidence, values):
-        return linear_of(evidence, values, angular_gain), values
-    followed = followed_of(evidence, solution, whitener, design)
-    linear = linear_of(evidence, values, angular_gain, followed)
-    return replace(linear, followed=followed.with_wander(wander_within(evidence, linear))), values
-
-
-def _in_time(
-    evidence: CampaignEvidence, linear: Linear, values: dict[str, float], angular_gain: float, most_rad_s: float
-) -> tuple[CampaignEvidence, Linear, dict[str, float], dict[int, float]]:
-    """The recordings with the log of their table mended as the fit says, their own fit, and how late the tables were."""
-    logged, late_s, length_s = evidence, dict[int, float](), 0.0
-    for k in range(_TABLE_ROUNDS):
-        later, longer = steps_of(values, angular_gain)
-        if max([abs(x) for x in later.values()] + [longer]) < _TABLE_S:
-            break
-        late_s = {i: late_s.get(i, 0.0) + x for i, x in later.items()}
-        # of a log that is late its second moment says little
-        length_s = math.hypot(length_s, longer) if k else 0.0
-        evidence = in_time(logged, late_s, length_s)
-        linear, values = _resonant(evidence, _nuisances(evidence, linear, most_rad_s, most_rad_s), angular_gain)
-    return evidence, linear, values, late_s

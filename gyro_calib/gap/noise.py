@@ -49,7 +49,7 @@ _FLOOR, _STEADY_FLOOR, _FEWEST_SQUARES = 0.3, 0.75, 40
 #: differences between repeated records that say how much their means differ by; as many of all channels count for one's own; rounds
 _FEWEST_REPEATS, _BELIEVED_REPEATS, _REPEAT_ROUNDS = 4, 8.0, 3
 _PLAIN_TERMS = 4  # of a basis that hears no gains
-#: rounds in which a model that is no richer than it need be tells the noise, where it leaves more than is believed, by so many sd
+#: rounds in which a model no richer than it need be tells the noise, where it leaves more than is believed, by so many sd
 _LEAN_ROUNDS, _LOUDER = 2, 2.0
 
 
@@ -101,13 +101,14 @@ def measured_noise(
     of_rate: Sequence[Column],
     angular_gain: float,
     plain: PlainNoise | None = None,
+    start: NoiseByRole | None = None,
 ) -> tuple[NoiseByRole, Excess]:
     """Noise by role and channel, from what the saturated model leaves at quiet and at signal lines; and recordings that are louder.
 
     ``of_rate``: the nuisances and the effects that depend on rate, all that a turned recording may show. The saturated model keeps near
-    the drive gains of a ``plain`` one, and its noise does not fall far below that one's: in a closed loop the drive is the controller's
-    answer to the pick-off, noise and all. With gains and effects of the read-out free against each other, as one amplitude or one axis
-    leaves them, that law explains the noise itself, and the less there is left the more it weighs.
+    the drive gains of a ``plain`` one, and its noise does not fall far below that one's: a closed loop's drive answers the pick-off, noise
+    and all, and with gains and read-out free against each other, as one amplitude or one axis leaves them, that law explains the noise
+    itself, and the less is left the more it weighs. ``start``: the noise of nearly the same campaign.
     """
     whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
     target, floor = whole, {}
@@ -115,7 +116,7 @@ def measured_noise(
         floor = dict(plain.floor)
         saturated, target, quiet = _held(saturated, plain.gains, whole, quiet)
     stack = Stack(tuple(saturated))
-    noise, _ = _iterated(evidence, stack, target, quiet, floor)
+    noise, _ = _iterated(evidence, stack, target, quiet, floor, start)
     noise = _wandering_all_the_same(with_repeats(evidence, saturated, noise, {}, target))
     noise, excess = _raised_to_what_is_left(evidence, _solved(evidence, stack, noise, target), noise)
     return noise, _with_table(evidence, of_rate, noise, excess, whole)
@@ -135,11 +136,12 @@ def _iterated(
     target: Sequence[ComplexArray],
     quiet: Sequence[ComplexArray],
     floor: Mapping[Key, NoiseLaw],
+    start: NoiseByRole | None = None,
 ) -> tuple[NoiseByRole, Solution]:
     """Noise that a model leaves, and its fit with that noise; nowhere below a floor."""
-    solution = _solved(evidence, stack, first_noise(evidence), target)
-    noise: NoiseByRole = first_noise(evidence)
-    for k in range(_TAMED_ROUNDS + _ROUNDS):
+    noise: NoiseByRole = first_noise(evidence) if start is None else start
+    solution = _solved(evidence, stack, noise, target)
+    for k in range(0 if start is None else _TAMED_ROUNDS, _TAMED_ROUNDS + _ROUNDS):
         noise = _from_residuals(evidence, stack, solution, noise, quiet)
         noise = {key: law.not_below(floor[key]) if key in floor else law for key, law in noise.items()}
         if k < _TAMED_ROUNDS:
@@ -229,8 +231,7 @@ def _squares(
         squares[key].append((found / free)[kept])
         if r.recording.command.mode in _FALLING:
             continue  # what rises or decays has something at every line
-        count = left[k].size // 2
-        values = left[k][side * count : (side + 1) * count]
+        values = np.split(left[k], 2)[side]
         basis[key].append(r.lines(channel, quiet=True).basis())
         squares[key].append((values.real if part == 0 else values.imag) ** 2)
     return basis, squares

@@ -19,7 +19,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+
+from .whittle import likeliest, likeliest_of_each
 
 __all__ = ["PICKOFF", "WHITE", "Grams", "Lines", "NoiseLaw", "beside_floors", "fit_law", "gain_floors"]
 
@@ -35,8 +36,6 @@ _OWN_SHARE = 0.3
 WHITE, PICKOFF = 0, 2
 _TERMS = ((0,), (0, 1), (0, 2), (0, 3), (0, 1, 2), (0, 2, 3))
 _FAST_TERMS = ((0,), (0, 2))
-#: rounds of the reweighted fit, and by how much it may still change
-_MOST_ROUNDS, _SETTLED = 15, 1e-4
 
 
 @dataclass(frozen=True)
@@ -174,13 +173,10 @@ def fit_law(
         # records on an axis whose gain has no floor are no measure of the others
         loud = 1.0 + known / max(float(np.median(squares)), 1e-300)
         squares = loud * _without_outliers(basis[:, 2], squares / loud)
-    best, best_score = np.zeros(4), np.inf
-    for terms in _TERMS if slow else _FAST_TERMS:
-        coefficients = np.zeros(4)
-        coefficients[list(terms)] = _whittle(basis[:, terms], squares, known)
-        score = _surprise(known + basis[:, :4] @ coefficients, squares) + len(terms) * (np.log(squares.size) + _EXTRA_TERM)
-        if score < best_score:
-            best, best_score = coefficients, score
+    models = _TERMS if slow else _FAST_TERMS
+    found = likeliest_of_each(models, basis[:, :4], squares, known)
+    scores = [_surprise(known + basis[:, :4] @ x, squares) for x in found]
+    best = found[np.argmin([s + len(terms) * (np.log(squares.size) + _EXTRA_TERM) for s, terms in zip(scores, models, strict=True)])]
     white, flicker, pickoff, walk = map(float, best)
     return NoiseLaw((white, flicker, pickoff, walk), gains=gains)
 
@@ -202,7 +198,7 @@ def gain_floors(kinds: Sequence[tuple[Sequence[FloatArray], Sequence[FloatArray]
     best, best_score = np.zeros(2), np.inf
     for axes in ((), (0,), (1,), (0, 1)):
         columns = np.hstack([own, heard[:, axes]])
-        found = _whittle(columns, squares)
+        found = likeliest(columns, squares)
         score = _surprise(columns @ found, squares) + len(axes) * (np.log(squares.size) + _EXTRA_TERM)
         if score < best_score:
             best, best_score = np.zeros(2), score
@@ -241,18 +237,3 @@ def _without_outliers(order: FloatArray, squares: FloatArray) -> FloatArray:
     capped = np.empty_like(squares)
     capped[place] = np.minimum(sorted_squares, _CAP * medians[nearest] / _MEDIAN)
     return capped
-
-
-def _whittle(basis: FloatArray, squares: FloatArray, known: FloatArray | float = 0.0) -> FloatArray:
-    """Reweighted non-negative least squares beside what is known; the fixed point maximises the likelihood."""
-    size = np.maximum(basis.mean(axis=0), 1e-300)
-    scaled = basis / size
-    expected = np.full(squares.size, max(float(squares.mean()), 1e-300))
-    found = np.zeros(basis.shape[1])
-    for _ in range(_MOST_ROUNDS):
-        before = found
-        found, _ = nnls(scaled / expected[:, None], (squares - known) / expected)
-        if np.all(np.abs(found - before) <= _SETTLED * (before + found.max(initial=0.0))):
-            break
-        expected = np.maximum(scaled @ found + known, 1e-6 * float(squares.mean()) + 1e-300)
-    return np.asarray(found / size)

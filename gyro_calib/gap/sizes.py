@@ -114,7 +114,17 @@ def with_shares(columns: Sequence[Column], family: Family, shares: Mapping[str, 
 
 
 def _scores(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float], family: str) -> FloatArray:
-    return np.array([_likelihood(data, told, families, {**sizes, family: float(s)}) for s in _SIZES])
+    """Log likelihoods of all sizes of one family beside the others at theirs, which are integrated over first: see :func:`_likelihood`."""
+    own = np.array([f == family for f in families])
+    sd = np.array([sizes[f] for f in families if f != family])
+    lower = np.linalg.cholesky(np.eye(sd.size) + sd[:, None] * data[np.ix_(~own, ~own)] * sd[None, :])
+    reduced = np.linalg.solve(lower, np.column_stack([sd[:, None] * data[np.ix_(~own, own)], sd * told[~own]]))
+    cross, others = reduced[:, :-1], reduced[:, -1]
+    w, v = np.linalg.eigh(data[np.ix_(own, own)] - cross.T @ cross)
+    squares, w = ((told[own] - cross.T @ others) @ v) ** 2, np.maximum(w, 0.0)
+    variance = _SIZES[:, None] ** 2
+    beside = 0.5 * float(others @ others) - float(np.sum(np.log(np.diag(lower))))
+    return np.asarray(beside + 0.5 * np.sum(variance * squares / (1.0 + variance * w) - np.log1p(variance * w), axis=1))
 
 
 def _expected(scores: FloatArray) -> float:
