@@ -12,9 +12,11 @@ from table_samples import looked_at, loudest, on_a_table, table_model
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.gap import rate_table
 from gyro_calib.gap.diagnose import diagnose
+from gyro_calib.gap.linear_device import reaction_of
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.patch import constant_rate, patched_device
-from gyro_calib.gap.rate_table import gain_as_read, said_late, shifted
+from gyro_calib.gap.rate_table import gain_as_read, rate_columns, said_late, shifted
+from gyro_calib.gap.relinearise import relinearised
 from gyro_calib.gap.select import select_effects
 from gyro_calib.recording.applied_rate import applied_rate, is_turned
 from gyro_calib.recording.recording import Recording
@@ -118,6 +120,42 @@ def test_pickoffs_askew_read_another_angular_gain(mismatch: float, mixed: float,
     values = {f"rate_{n}_{part}": getattr(x, of) for n, x in symmetric.items() for part, of in (("re", "real"), ("im", "imag"))}
     assert gain_as_read(0.57, values) == pytest.approx((0.5 * (response[0, 1] - response[1, 0])).real, rel=1e-12)
     assert gain_as_read(0.57, {}) == 0.57
+    read = gain_as_read(0.57, values)
+    # whose imaginary part, of a phase and a mismatch, is not in what is known
+    np.testing.assert_allclose(-read * reaction_of(values, read), response, atol=1e-12 + 1.5 * abs(phase_rad * mismatch))
+    np.testing.assert_array_equal(reaction_of({}, 0.57), [[0.0, -1.0], [1.0, 0.0]])
+
+
+def test_steps_of_a_table_do_to_the_volts_what_a_rate_does() -> None:
+    """Of pick-offs that are not alike the lag, the rounding and the carrier's phase, too; the response to rate is what is sought."""
+    model = table_model()
+    reaction = np.array([[0.03j, -1.0 - 0.2j], [1.0 - 0.2j, -0.03j]])
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]], dtype=complex)
+    unlike, plain, rest = (
+        {c.name: c for c in rate_columns(model.evidence, replace(model.linear, reaction=of))}
+        for of in (reaction, quarter, reaction - quarter)
+    )
+    assert unlike.keys() == plain.keys()
+    steps = {n for n in plain if n.startswith(("table_lag", "table_step", "table_blur", "table_skew", "table_tails", "table_fifth"))}
+    assert len(steps) > 10
+    for name in plain:
+        more = [rest[name].signal[k] if name in steps else 0.0 for k in range(len(model.evidence))]
+        for one, other, added in zip(unlike[name].signal, plain[name].signal, more, strict=True):
+            np.testing.assert_allclose(one, other + added, atol=1e-9 * max(float(np.abs(other).max(initial=0.0)), 1e-300))
+        assert name not in steps or any(np.any(np.abs(x) > 0.0) for x in rest[name].signal)
+
+
+@pytest.mark.slow
+def test_channels_that_are_read_in_turns_read_nothing_by_the_square_of_the_rate() -> None:
+    """Of a wave that turns, 0.3 rad of the carrier apart: the recorder's filter, told by a quarter turn, was that of 54 in chi-square."""
+    unit, rng = draw_trial_unit("hemisphere", 8601, 35), np.random.default_rng(12)
+    plan = campaign_plan("hemisphere", unit.device.factory(), rng, "standard")
+    model = looked_at(record_unit(unit, plan, {"multiplexing_skew": {"tau": 6.4e-6}}, rng))
+    own = loudest(model, "multiplexing_skew")
+    beside = model.screener_with(relinearised(model, [own.candidate]))
+    forms = [c for a, c in model.bank if a.form == "Omega^2 x" and a.location == "pick-off" and not c.setting]
+    assert len(forms) >= 2
+    assert all(found.gain < 15.0 for found in beside.screened(forms))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .column import Column
 from .evidence import CampaignEvidence
 from .followed import followed_of
-from .linear_device import frequency_columns, knows_its_resonance, linear_columns, linear_of, target_of
+from .linear_device import frequency_columns, knows_its_resonance, linear_columns, linear_of, reaction_of, target_of
 from .noise import first_noise, measured_noise
 from .nuisance import thermal_columns, wander_columns
 from .parts import Linear
@@ -77,14 +77,15 @@ def fitted_device(evidence: CampaignEvidence, linear: Linear, angular_gain: floa
     linear, _ = _linear(evidence, nuisances_of(evidence, linear, wander_rad_s, wander_rad_s), angular_gain, angular_gain)
     linear, values, noise = _resonant(evidence, nuisances_of(evidence, linear, most_rad_s, most_rad_s), angular_gain)
     angular_gain = gain_as_read(angular_gain, values)
-    return _in_time(evidence, replace(linear, angular_gain=angular_gain), values, angular_gain, most_rad_s, noise)
+    linear = replace(linear, angular_gain=angular_gain, reaction=reaction_of(values, angular_gain))
+    return _in_time(evidence, linear, values, angular_gain, most_rad_s, noise)
 
 
 def _first(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
     """What a device is fitted with of which nothing is known."""
     return [
         *linear_columns(evidence),
-        *rate_columns(evidence, rate_known=False),
+        *rate_columns(evidence),
         *frequency_columns(evidence),
         *wander_columns(evidence, wander_rad_s, wander_rad_s),
     ]
@@ -93,7 +94,7 @@ def _first(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
 def nuisances_of(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
     return [
         *linear_columns(evidence, linear),
-        *rate_columns(evidence),
+        *rate_columns(evidence, linear),
         *frequency_columns(evidence),
         *thermal_columns(evidence, linear),
         *wander_columns(evidence, wander_rad_s, open_drive_rad_s),

@@ -30,6 +30,7 @@ __all__ = [
     "linear_columns",
     "linear_of",
     "quiet_target_of",
+    "reaction_of",
     "span_k",
     "target_of",
 ]
@@ -200,7 +201,14 @@ def linear_of(evidence: CampaignEvidence, values: Mapping[str, float], angular_g
 
     (A, reduced), E = untied(evidence, matrix("A"), matrix("G")), matrix("E")
     moved = tuple(_moved(r, values) for r in evidence)
-    return Linear(A, reduced + A @ E, E, angular_gain, values.get("frequency_per_k", 0.0), moved, followed)
+    slope = values.get("frequency_per_k", 0.0)
+    return Linear(A, reduced + A @ E, E, angular_gain, slope, moved, followed, reaction_of(values, angular_gain))
+
+
+def reaction_of(values: Mapping[str, float], angular_gain: float) -> ComplexArray:
+    """What a rate does to the volts over kappa, shape (2, 2), with what is symmetric in it as a solution says."""
+    s, a = (complex(values.get(f"rate_{n}_re", 0.0), values.get(f"rate_{n}_im", 0.0)) / angular_gain for n in ("mismatch", "skew"))
+    return np.array([[-a, -1.0 - s], [1.0 - s, a]])
 
 
 def knows_its_resonance(evidence: CampaignEvidence, values: Mapping[str, float]) -> bool:

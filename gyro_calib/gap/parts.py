@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -41,6 +41,8 @@ REST = f"{SKEW}_rest"
 UNEQUAL = 0.03
 #: what parts the two modes: along the axes, and between them, shape (2, 2) each
 SPLIT = (np.diag([1.0, -1.0]), np.eye(2)[::-1])
+#: J: what a rate does to the motion
+QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]], dtype=complex)
 #: where a part enters: added to p', to the drive (through G), or to the pick-off's volts
 Kind = Literal["flow", "drive", "output"]
 #: values of the parameters that are not linear
@@ -65,6 +67,8 @@ class Linear:
         resonance lay from the frequency of reference; empty: as the slope says.
     followed : Followed or None
         Where the resonance lay before anything had a name: the column of E takes off what feeds through there. None: not known.
+    reaction : ndarray, shape (2, 2), complex
+        What a rate does to the volts over kappa, ``P J P^-1`` of the pick-offs P: of those that are square and alike a quarter turn.
     """
 
     A: ComplexArray
@@ -74,10 +78,11 @@ class Linear:
     frequency_slope_rad_s_k: float
     moved_rad_s: tuple[ComplexArray, ...] = ()
     followed: Followed | None = None
+    reaction: ComplexArray = field(default_factory=lambda: QUARTER_TURN)
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """A x, with A at each row's resonance, damping and applied rate, shape (n, 2)."""
-        turning = self.angular_gain * s.rate_rad_s[:, None] * turned(x)
+        turning = self.angular_gain * s.rate_rad_s[:, None] * (x @ self.reaction.T)
         return np.asarray(x @ self.A.T + self.moved(s)[:, None] * x - turning)
 
     def resting(self, s: Signals, x: ComplexArray) -> ComplexArray:
