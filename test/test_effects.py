@@ -194,6 +194,7 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_bias": ({"b": 0.02}, lambda r: -r.size["b"] * 0.8 * WARM_K * r.p @ TURN.T),
     "bias_drift": ({"b": 0.1}, lambda r: -r.size["b"] * 0.8 * r.t[:, None] * (r.p @ TURN.T)),
     "thermal_split": ({"k_c": 0.02, "k_s": 0.03}, lambda r: 1j * WARM_K * r.p @ split(r, "k_c", "k_s")),
+    "thermal_split_curvature": ({"k_c": 2e-3, "k_s": 3e-3}, lambda r: 1j * WARM_K**2 * r.p @ split(r, "k_c", "k_s")),
     "thermal_drive_gain": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.force(WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_drive_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.force(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_pickoff_gain": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.reading(WARM_K * by_axis(r, "g_x", "g_y") * r.p)),

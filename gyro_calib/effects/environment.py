@@ -51,6 +51,13 @@ THERMAL = (
         ("split_drift", "thermal_pickoff_phase"),
     ),
     Effect(
+        "thermal_split_curvature", "Frequency split that bends with temperature", "environment", (1, 27),
+        pair("k_c k_s", "rad/s/K^2", 3e-4, 0.1, "half the split per kelvin squared, by axis (c) and across (s)"),
+        ("temperature",), BOTH,
+        "p' += i T^2 (k_c diag(1, -1) + k_s [[0, 1], [1, 0]]) p",
+        ("thermal_split", "thermal_split_lag"),
+    ),
+    Effect(
         "thermal_lag", "Resonator's temperature lags the sensor's", "environment", (30,),
         (positive("tau", "s", 30.0, 1e5, "time constant between the thermometer and what sets the frequency"),),
         ("temperature", "time"), BOTH,

@@ -361,6 +361,7 @@ FORMS: dict[str, Form] = {
     "thermal_frequency_curvature": _stiffness("k", _warm_squared),
     "thermal_bias": Form(lambda s, d, g: _as_rate("b", s, d, _warm(s))),
     "thermal_split": Form(lambda s, d, g: _anisotropy("k", _warm(s)[:, None] * motion(s, d), 1j)),
+    "thermal_split_curvature": Form(lambda s, d, g: _anisotropy("k", _warm_squared(s)[:, None] * motion(s, d), 1j)),
     "thermal_lag": Form(_thermal_lag, _times(0.03, 100.0, 17)),
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
     "thermal_drive_phase": Form(turned_drive),

@@ -61,7 +61,7 @@ _COURSE_MARGIN = 10.0
 #: and delays a drive (a stage that warms itself does both); and what lags behind the temperature, for if three properties do one thing
 #: makes them
 CHANGES = (
-    {"split_drift", "charge_accumulation", "thermal_split", "thermal_split_lag"},
+    {"split_drift", "charge_accumulation", "thermal_split", "thermal_split_curvature", "thermal_split_lag"},
     {"damping_drift", "thermal_damping", "thermal_damping_curvature", "thermal_damping_lag", "thermal_damping_anisotropy_lag"},
     {"drive_gain_drift", "thermal_drive_gain", "thermal_drive_gain_curvature", "thermal_drive_gain_lag"},
     {"pickoff_gain_drift", "thermal_pickoff_gain", "thermal_pickoff_gain_curvature", "thermal_pickoff_gain_lag"},

@@ -20,7 +20,7 @@ ComplexArray = NDArray[np.complex128]
 SLOW_EFFECTS = frozenset(
     (
         "thermal_damping", "thermal_damping_curvature", "thermal_damping_anisotropy",
-        "thermal_frequency_curvature", "thermal_split", "thermal_lag",
+        "thermal_frequency_curvature", "thermal_split", "thermal_split_curvature", "thermal_lag",
         "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
         "thermal_drive_gain_lag", "thermal_pickoff_gain_lag", "thermal_bias", "thermal_bias_lag", "bias_drift",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
@@ -95,6 +95,7 @@ class SlowEffects:
         same = same + self._size("frequency_ageing", "k") * t + self._size("centrifugal_stiffness", "k") * rate**2
         split = self._pair("thermal_split", "k_c", "k_s", rise) + self._pair("split_drift", "k_c", "k_s", t)
         split = split + self._pair("thermal_split_lag", "k_c", "k_s", self._behind("thermal_split_lag", rise))
+        split = split + self._pair("thermal_split_curvature", "k_c", "k_s", rise**2)
         if "charge_accumulation" in self._effects:
             charged = -np.expm1(-t / self._size("charge_accumulation", "tau"))
             same = same + self._size("charge_accumulation", "k_0") * charged
