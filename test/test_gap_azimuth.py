@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -64,6 +65,29 @@ def test_lobes_are_those_of_the_motion_whatever_is_driven(lobes: int) -> None:
         assert of_sin(cast(Signals, rows), x) == pytest.approx(np.sin(0.5 * lobes * psi)[:, None] * x)
     crossed = MONOMIALS[f"x cos {lobes}theta, x sin {lobes}theta, crossed", "azimuth"][0](cast(Signals, rows), rows.pick)
     assert np.abs(np.sum(crossed * rows.pick.conj(), axis=1)) == pytest.approx(np.zeros(50), abs=1e-12)
+
+
+@dataclass
+class TimedRows(Rows):
+    """And as one of the sense in which the wave turns does."""
+
+    row_s: float
+
+    def once(self, key: object, linear: object, made: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
+        return made()
+
+
+def test_the_sense_in_which_a_wave_turns_is_one_or_the_other_and_none_where_it_stands() -> None:
+    """One way, standing but for its noise, and back; through every azimuth, and whatever is driven."""
+    rate_rad_s = np.repeat([0.2, 0.0, -0.2], 500)
+    psi = 0.01 * np.cumsum(rate_rad_s) + 1e-6 * np.random.default_rng(0).standard_normal(1500)
+    rows = cast(Signals, TimedRows(wave(7.0 * psi), wave(psi + 1.1, 0.01), 0.01))
+    of_x, of_y = MONOMIALS["x by the sense in which the wave turns", "azimuth"]
+    sense = of_x(rows, rows.drive)[:, 0] / rows.drive[:, 0]
+    np.testing.assert_array_equal(of_x(rows, rows.drive)[:, 1], 0.0)
+    np.testing.assert_allclose(of_y(rows, rows.drive)[:, 1], sense * rows.drive[:, 1])
+    for part, expected in zip(np.split(sense, 3), (1.0, 0.0, -1.0), strict=True):
+        np.testing.assert_allclose(part[20:-20], expected, atol=0.03)
 
 
 @pytest.mark.parametrize("direction_rad", [0.0, 0.3, 1.1, 2.5])

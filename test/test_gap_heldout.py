@@ -116,6 +116,9 @@ def test_an_effect_of_one_size_closes_the_gap(told: Callable[[CampaignModel, lis
     assert all(s.after < s.before and s.closed <= 1.0 for s in found)
     assert float(np.mean([s.closed for s in found])) > 0.8
     assert min((s.closed - 1.0) / s.closed_sd for s in found) > -4.0
+    # the others tell it well
+    assert float(np.mean([s.told for s in found])) == pytest.approx(float(np.mean([s.closed for s in found])), abs=0.1)
+    assert min((s.told - 1.0) / s.told_sd for s in found) > -4.0
 
 
 def test_an_effect_of_another_size_in_each_recording_does_not() -> None:
@@ -256,5 +259,21 @@ def test_an_effect_that_one_recording_alone_tells_surprises_nobody() -> None:
     told = shrinkage(model, [effect])
     assert told.after > 2.0
     assert told.surprise < 1.3
+    assert told.told_sd > 0.5  # of nothing that is foretold no share is closed
     model, effect = toy(once, 0)
     assert shrinkage(model, [effect]).surprise > 2.0
+
+
+def test_what_one_recording_alone_tells_leaves_the_share_of_what_the_others_tell() -> None:
+    """An effect that all show, and one of a warm recording: 20 % of a gap of which the others told all that they could."""
+    model, effect = toy(np.full(COUNT, 3.0), 1)
+    course = np.cos(1.7 * np.arange(ROWS)) + 0j
+    warm = Column("c", tuple(course * (k == 0) for k in range(COUNT)), ())
+    own = Candidate("thermal_damping_lag", {}, (warm,), np.array([10.0]))
+    heated = [t + 30.0 * x for t, x in zip(model.target, warm.signal, strict=True)]
+    parts = SimpleNamespace(evidence=model.evidence, linear=model.linear, whitener=model.whitener, target=heated)
+    shrunk = shrinkage(fitted_with(parts, model.nuisances), [effect, own])
+    assert shrunk.closed < 0.6
+    assert shrunk.told > 0.9
+    assert shrunk.told_sd < 0.1
+    assert shrunk.rms_surprise < 1.2 < shrunk.rms_after

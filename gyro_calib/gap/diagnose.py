@@ -304,8 +304,8 @@ def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:
     scale_shift, scale_sd = _scale_shift(model, rich)
     return Gap(
         rms_before=shrunk.rms_before,
-        rms_after=shrunk.rms_after,
-        closed_fraction=Quantity(shrunk.closed, shrunk.closed_sd, "1"),
+        rms_after=shrunk.rms_surprise,
+        closed_fraction=Quantity(shrunk.told, shrunk.told_sd, "1"),
         bias_before=Quantity(shrunk.rate_before / DEG_H, rate_sd / DEG_H, "deg/h"),
         bias_after=Quantity(shrunk.rate_after / DEG_H, rate_sd / DEG_H, "deg/h"),
         scale_before=Quantity(abs(scale_shift) / PPM, scale_sd / PPM, "ppm"),
@@ -334,9 +334,9 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
     if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS) for e in effects):
         return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
     present = f"Present: {'; and '.join(words)}."
-    if shrunk.closed_sd > _UNKNOWN_SHARE:
+    if shrunk.told_sd > _UNKNOWN_SHARE:
         return f"{present} How much of the gap it closes, the experiments that it was not found on are too few to tell."
-    return f"{present} It closes {100.0 * min(shrunk.closed, 1.0):.1f} % of the gap on experiments that it was not found on."
+    return f"{present} It closes {100.0 * min(shrunk.told, 1.0):.1f} % of the gap on experiments that it was not found on."
 
 
 def _said(q: Quantity) -> str:

@@ -143,8 +143,9 @@ class Gap:
     Parameters
     ----------
     rms_before, rms_after : float
-        Over the noise.
+        Over the noise; after: over that and over what the other experiments leave open of the sizes.
     closed_fraction : Quantity
+        Of what the other experiments tell.
     bias_before, bias_after : Quantity
         Rate that the unseen experiments leave unexplained, root mean square [deg/h].
     scale_before, scale_after : Quantity

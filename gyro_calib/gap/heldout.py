@@ -35,6 +35,8 @@ _TOLD_BY_ITSELF = 1e-6
 _LEAST = 1e-9
 #: size over that which all experiments say, sd, of which a half that does not show it knows nothing better
 _OPEN = 3.0
+#: square of what effects say, over the noise, that is nothing
+_FORETOLD = 0.1
 #: share of the gap that effects of the right form leave at most, if they leave more than noise: those of 400 times their noise left 0.004
 _MOST_LEFT = 0.02
 
@@ -58,6 +60,9 @@ class Shrinkage:
         Rate that their means leave unexplained, root mean square [rad/s].
     surprise : float
         What ``after`` is in units of what the others leave open of the sizes, besides noise: of effects of the right form, one.
+    told, told_sd : float
+        The closed fraction of what the others tell, and its standard deviation: the one recording that is warmed shows nobody else what
+        goes with the temperature, and as all of a gap that is left it made 20 % of 96 beside an effect that all recordings show.
     """
 
     before: float
@@ -69,6 +74,8 @@ class Shrinkage:
     rate_before: float = 0.0
     rate_after: float = 0.0
     surprise: float = 0.0
+    told: float = 0.0
+    told_sd: float = 0.0
 
     @property
     def rms_before(self) -> float:
@@ -79,6 +86,11 @@ class Shrinkage:
     def rms_after(self) -> float:
         """Root mean square over the noise."""
         return math.sqrt(max(self.after, 0.0))
+
+    @property
+    def rms_surprise(self) -> float:
+        """Root mean square of what the effects leave, over the noise and what the others leave open of their sizes."""
+        return math.sqrt(max(self.surprise, 0.0))
 
     @property
     def leaves_more(self) -> bool:
@@ -198,13 +210,17 @@ class _Unseen:
 
     def shrinkage(self, parts: Sequence[_HeldOut]) -> Shrinkage:
         """Of all that was held out, part by part."""
-        before = gain = noise = foretold = open_ = 0.0
+        before = gain = noise = foretold = open_ = told_gain = told_foretold = 0.0
         gains: list[_Improved] = []
         for out in parts:
             sizes, covariance = self.told(out, self._order)
             effect = out.shown @ sizes
-            towards = out.shown.T @ (out.missed - effect)
-            open_ += float(towards @ np.linalg.solve(np.linalg.inv(covariance) + out.shown.T @ out.shown, towards))
+            # what the others leave open of the sizes is no misfit, as all other directions that only this one tells
+            towards = out.shown.T @ np.column_stack([out.missed - effect, effect])
+            left_open = towards.T @ np.linalg.solve(np.linalg.inv(covariance) + out.shown.T @ out.shown, towards)
+            open_ += float(left_open[0, 0])
+            told_foretold += float(effect @ effect - left_open[1, 1])
+            told_gain += float(2.0 * (out.missed - effect) @ effect + effect @ effect - 2.0 * left_open[0, 1] - left_open[1, 1])
             gains += self._improved(out, sizes)
             before += float(out.missed @ out.missed)
             gain += float(2.0 * out.missed @ effect - effect @ effect)
@@ -214,13 +230,16 @@ class _Unseen:
         noise = max(noise, 1.0)
         after = before - gain
         closed, sd = _closed(gain, foretold, after - noise, noise)
+        told, told_sd = _closed(told_gain, told_foretold, after - open_ - noise, noise)
+        told_sd = math.hypot(told_sd, 1.0 / max(told_foretold, _FORETOLD)) if gains and self._fisher.size else told_sd
         labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)
         rates = [
             math.sqrt(float(np.mean([rate**2 for rate in side]))) if side else 0.0
             for side in ([u.before for u in gains if u.has_rate], [u.after for u in gains if u.has_rate])
         ]
         dof = sum(out.missed.size for out in parts)
-        return Shrinkage(before / noise, after / noise, dof, closed, sd, labels, rates[0], rates[1], (after - open_) / noise)
+        surprise = (after - open_) / noise
+        return Shrinkage(before / noise, after / noise, dof, closed, sd, labels, rates[0], rates[1], surprise, told, told_sd)
 
     def _improved(self, out: _HeldOut, sizes: FloatArray) -> list[_Improved]:
         """What the effects, of a size that others told, do for each recording."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from .forms import AT_REST, conjugate_product
 from .memory import behind, remembered
@@ -19,6 +20,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Monomial = Callable[[Signals, ComplexArray], ComplexArray]
 Factor = Callable[[Signals], FloatArray | ComplexArray]
+#: rate from which on a wave turns [rad/s], over how long it is told [s], and square of an azimuth's phasor that is none
+_TURNS_RAD_S, _SENSE_S, _LEAST_TURNED = 0.01, 0.15, 1e-6
 
 
 def size_of(x: ComplexArray) -> FloatArray:
@@ -83,6 +86,17 @@ def _lobes(s: Signals, x: ComplexArray, count: int) -> ComplexArray:
     v = s.pick if x is s.drive else x
     stokes = np.abs(v[:, 0]) ** 2 - np.abs(v[:, 1]) ** 2 + 2j * _in_step(v)
     return np.asarray((stokes / (np.sum(np.abs(v) ** 2, axis=1) + 1e-18)) ** (count // 4))[:, None]
+
+
+def _sense(s: Signals) -> FloatArray:
+    """Which way the wave turns, shape (n, 1): 1 or -1, 0 where it stands."""
+
+    def told() -> FloatArray:
+        lobes = _lobes(s, s.pick, 4)[:, 0]
+        turns_rad_s = 0.5 * np.imag(lobes.conj() * np.gradient(lobes, s.row_s)) / np.maximum(np.abs(lobes) ** 2, _LEAST_TURNED)
+        return np.tanh(uniform_filter1d(turns_rad_s, max(1, round(_SENSE_S / s.row_s))) / _TURNS_RAD_S)[:, None]
+
+    return s.once("which way the wave turns", None, told)
 
 
 def _by_azimuth(count: int) -> dict[tuple[str, str], list[Monomial]]:
@@ -211,6 +225,7 @@ MONOMIALS: dict[tuple[str, str], list[Monomial]] = {
     ("|u_j|^2 x_j, u the drives", "drive"): _on_each(lambda s, x: np.abs(s.drive) ** 2 * x),
     ("u_x u_y x on the other axis, u the drives", "drive"): [lambda s, x: _in_step(s.drive)[:, None] * x[:, ::-1]],
     ("|p_j|^2 x_j, p the motion", "amplitude"): _on_each(lambda s, x: _by_motion(s.pick, x)),
+    ("x by the sense in which the wave turns", "azimuth"): _on_each(lambda s, x: _sense(s) * x),
     **_by_azimuth(4),
     **_by_azimuth(8),
     **_by_azimuth(12),
