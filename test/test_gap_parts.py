@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from gyro_calib.gap.flow_left import rows_left
 from gyro_calib.gap.forms import FORMS, behind, cube
-from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once
+from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once, unexplained
 from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.gap.warm_forms import _HALF_PER_K, _LATE_S
 from gyro_calib.recording.columns import COLUMNS
@@ -189,3 +190,30 @@ def test_a_damping_that_bends_does_so_before_a_thermometer_that_is_late() -> Non
     found = bent.signal - UNEQUAL * late_s / _LATE_S * late.signal
     inner = slice(50, -50)
     assert np.abs(found - exact)[inner].max() < 0.05 * np.abs(bent.signal - exact)[inner].max()
+
+
+def test_a_drive_that_runs_against_its_limit_kicks_nothing() -> None:
+    """Its corner lies between rows; a difference of rows to both sides holds the mean of what the drive does there, not its middle."""
+    row_s, t = 0.01, 0.01 * np.arange(400)
+    rows = np.zeros((t.size, len(COLUMNS)))
+    rows[:, 0], rows[:, 1], rows[:, 10], rows[:, 11] = t, 1.0, 15000.0, 25.0
+    recording = Recording("ring", rows, Command("whole_angle", setpoints=Setpoints(amplitude_v=1.0)), 1.0 / row_s, "r")
+    signals = Signals(recording, 2 * np.pi * 15000.0, 1.5, 1, 25.0, 0.0)
+
+    def drive(time: float | np.ndarray) -> np.ndarray:
+        falling = np.maximum(np.asarray(time) - 2.0, 0.0)
+        return np.stack([0.05j + 0.0j * falling, 0.3j * np.exp(-falling / 0.05)], axis=-1)
+
+    solved = solve_ivp(lambda time, p: A @ p + G @ drive(time), (0.0, t[-1]), np.array([1.0 + 0j, 0.1j]), t_eval=t, rtol=1e-11, atol=1e-13)
+    signals = with_pick(signals, solved.y.T)
+    signals.__dict__["drive"] = drive(t)
+    linear = Linear(A, G, np.zeros((2, 2), complex), 0.8, 0.0)
+    azimuth, along, across = rows_left(signals, linear)
+    assert np.ptp(azimuth) > 0.1
+    plain = unexplained(signals, linear)
+    # a kick is a step of the sum
+    kicked, before = (
+        np.abs(np.cumsum(x[150:250], axis=0)).max() * row_s
+        for x in (np.stack([along, across], axis=1), plain / np.abs(signals.pick[:, :1]))
+    )
+    assert kicked < 0.1 * before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,11 @@ from flow_samples import ROW_S, WALK, quiet_flows
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from gyro_calib.gap import steady_swings
 from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.flow_left import FlowLeft
 from gyro_calib.gap.steady_swings import find_steady_swing
-from gyro_calib.gap.swings import find_swing
+from gyro_calib.gap.swings import Kind, find_swing
 
 ROWS, COUNT = 900, 12
 #: about every seventeen seconds a recording of nine
@@ -153,3 +155,18 @@ def test_a_floor_that_is_lower_than_its_law_hides_no_swing() -> None:
     found = find_steady_swing(swinging(humped, "precession", 8e-6, np.full(COUNT, 0.6), 0.21))
     assert found is not None
     assert found.frequency_hz == pytest.approx(0.21, abs=0.3 / (STARTS_S[-1] - STARTS_S[0]))
+
+
+def test_records_whose_floor_is_believed_far_too_high_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They tell next to nothing, and that all are below their law is the law's: three whose noise agrees are three."""
+    floors_of = steady_swings.floors_of
+
+    def mistaken(kinds: Sequence[Kind], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        labels = [flow.label for kind in kinds for flow in kind.flows]
+        return floors_of(kinds, grid) * np.array([1.0 if label in ("run_0", "run_1", "run_2") else 300.0 for label in labels])[:, None]
+
+    monkeypatch.setattr(steady_swings, "floors_of", mistaken)
+    for seed in range(4):
+        assert find_steady_swing(flows(np.random.default_rng(seed))) is None
+    monkeypatch.setattr(steady_swings, "_TELLS", 0.0)
+    assert find_steady_swing(flows(np.random.default_rng(0))) is not None

@@ -79,14 +79,27 @@ def flows_left(evidence: CampaignEvidence, linear: Linear) -> list[FlowLeft]:
 
 
 def rows_left(s: Signals, linear: Linear) -> tuple[FloatArray, ComplexArray, ComplexArray]:
-    """Azimuth of the wave [rad], and what the linear device leaves along it and across it over its amplitude [1/s], shape (n,) each."""
-    m, left = motion(s, linear), unexplained(s, linear)
+    """Azimuth of the wave [rad], and what the linear device leaves along it and across it over its amplitude [1/s], shape (n,) each.
+
+    A difference of rows to both sides is the mean of what moves the wave in between, which bends where a drive runs against its limit: of a
+    healthy hemisphere five such corners in rows of 10 ms were kicks of 11 usual sizes.
+    """
+    m = motion(s, linear)
+    slope = np.gradient(m, s.row_s, axis=0)
+    left = slope + _between(unexplained(s, linear) - slope)
     phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(m**2, axis=1))))
     turned, left = m * phase[:, None], left * phase[:, None]
     azimuth = np.unwrap(np.arctan2(turned[:, 1].real, turned[:, 0].real))
     cos, sin = np.cos(azimuth), np.sin(azimuth)
     size = np.hypot(turned[:, 0].real, turned[:, 1].real)
     return azimuth, (cos * left[:, 0] + sin * left[:, 1]) / size, (cos * left[:, 1] - sin * left[:, 0]) / size
+
+
+def _between(x: ComplexArray) -> ComplexArray:
+    """Mean of a signal from the row before each to the row after it, by Simpson's rule, shape (n, 2)."""
+    mean = x.copy()
+    mean[1:-1] = (x[:-2] + 4.0 * x[1:-1] + x[2:]) / 6.0
+    return mean
 
 
 def _plain(evidence: CampaignEvidence) -> Iterable[RecordingEvidence]:
