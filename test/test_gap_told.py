@@ -104,7 +104,7 @@ def test_a_variant_by_axis_is_named_where_the_axes_are_unlike(y: float, named: b
 def test_a_share_that_nobody_knows_is_not_told(sd: float, words: str) -> None:
     """A healthy hemisphere's delay "closed 46.7 %" of the gap, give or take 2854 %."""
     effect = SimpleNamespace(name="drive_delay", group=("drive_delay",), parameters={"tau_x": Quantity(4e-5, 5e-6, "s")})
-    said = _summary("effects", (effect,), None, SimpleNamespace(closed=0.467, closed_sd=sd))  # type: ignore[arg-type]
+    said = _summary("effects", (effect,), None, SimpleNamespace(told=0.467, told_sd=sd))  # type: ignore[arg-type]
     assert words in said
     assert said.startswith("Present: drive_delay (tau_x = 4e-05")
 
