@@ -92,6 +92,16 @@ def _first(evidence: CampaignEvidence, wander_rad_s: float) -> list[Column]:
 
 
 def nuisances_of(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float, open_drive_rad_s: float) -> list[Column]:
+    """Columns of a linear device, its table, its temperature and its wander.
+
+    Parameters
+    ----------
+    evidence : CampaignEvidence
+    linear : Linear
+        As far as it is known.
+    wander_rad_s, open_drive_rad_s : float
+        How far the resonance wanders between records of a wave, and of an open drive, sd.
+    """
     return [
         *linear_columns(evidence, linear),
         *rate_columns(evidence, linear),
