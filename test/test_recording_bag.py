@@ -10,6 +10,7 @@ from recording_samples import FACTORY, make_campaign, make_rows, write_raw_bag
 
 from gyro_calib.errors import DataError
 from gyro_calib.recording import COLUMNS, Command, Excitation, Setpoints, load_campaign, read_campaign_bag, write_campaign_bag
+from gyro_calib.recording.applied_rate import applied_rate, is_turned
 from gyro_calib.recording.parameter_log import ParameterChange, command_of, states_of_segments
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
@@ -39,7 +40,7 @@ class Recorder:
         self.now_ns += 1000
         self.writer.write(self.connections[topic], self.now_ns, STORE.serialize_cdr(message, kind))
 
-    def parameters(self, node, values, *, new=False):
+    def parameters(self, node, values, *, new=False, deleted=()):
         types = STORE.types
         empty = dict.fromkeys(("byte_array_value", "bool_array_value", "integer_array_value"), np.empty(0, np.int64))
         empty |= {"byte_array_value": np.empty(0, np.uint8), "bool_array_value": np.empty(0, np.bool_), "string_array_value": []}
@@ -61,7 +62,11 @@ class Recorder:
                 )
             )
         stamp = types["builtin_interfaces/msg/Time"](self.now_ns // 10**9, self.now_ns % 10**9)
-        self.send("/parameter_events", EVENTS, types[EVENTS](stamp, node, items if new else [], [] if new else items, []))
+        gone = [
+            types["rcl_interfaces/msg/Parameter"](name, types["rcl_interfaces/msg/ParameterValue"](0, False, 0, 0.0, "", **gone_arrays()))
+            for name in deleted
+        ]
+        self.send("/parameter_events", EVENTS, types[EVENTS](stamp, node, items if new else [], [] if new else items, gone))
 
     def block(self, topic, rows, labels=COLUMNS):
         types, dimension = STORE.types, STORE.types["std_msgs/msg/MultiArrayDimension"]
@@ -73,6 +78,12 @@ class Recorder:
     def blocks(self, topic, rows, labels=COLUMNS):
         for part in np.array_split(rows, max(len(rows) // 100, 1)):
             self.block(topic, part, labels)
+
+
+def gone_arrays():
+    """Arrays of a parameter that is not set."""
+    numbers = {"integer_array_value": np.empty(0, np.int64), "double_array_value": np.empty(0)}
+    return {"byte_array_value": np.empty(0, np.uint8), "bool_array_value": np.empty(0, np.bool_), "string_array_value": []} | numbers
 
 
 def stream(*modes, n=3000, start_segment=0):
@@ -271,6 +282,37 @@ def test_events_and_segments_pair_by_order_or_by_time():
     assert [s["mode"] for s in lost] == ["ftr_x", "loops_off"]
     assert states_of_segments([], events) == []
     assert command_of({"device_id": "d"}) is None
+
+
+def test_words_of_a_file_are_understood_as_parameters(tmp_path):
+    """A driver that calls its precession, ring-down, open drive and rate table as its logger does: each in force while it has them."""
+    node, rows = "/gyro/gyro_sim", stream("ftr_x", "ftr_x", "ftr_x", "ftr_x", n=4000)
+    turned = {"kind": "steps from t after the start of the record", "t_s": [0.0, 2.5], "deg_s": [0.0, 50.0]}
+    with Recorder(tmp_path / "bag") as bag:
+        start = {"mode": "whole_angle", "setpoint.amplitude_v": 1.0, "excitation.kind": "none", "virtual_precession_V": 0.5}
+        bag.parameters(node, facts() | start, new=True)
+        bag.blocks("/gyro/channels", rows[0])
+        bag.parameters(node, {"amplitude_control": json.dumps({"start": 24.0, "gain_down": -0.02})}, deleted=["virtual_precession_V"])
+        bag.blocks("/gyro/channels", rows[1])
+        drive = {
+            "mode": "loops_off",
+            "excitation.kind": "open_drive",
+            "open_drive": json.dumps({"freq": 15010.0, "axis": "y", "volts": 0.5}),
+        }
+        bag.parameters(node, drive, deleted=["amplitude_control"])
+        bag.blocks("/gyro/channels", rows[2])
+        bag.parameters(node, {"mode": "whole_angle", "excitation.kind": "none", "applied_rate": json.dumps(turned)}, deleted=["open_drive"])
+        bag.blocks("/gyro/channels", rows[3])
+    free, ring, driven, table = load_campaign(tmp_path / "bag", check=False)
+    assert free.command == Command("whole_angle", setpoints=Setpoints(1.0, virtual_precession_v=0.5))
+    assert ring.command == Command("ring_down", setpoints=Setpoints(1.0, amplitude_gain_v_per_v=-0.02))
+    assert driven.command == Command("loops_off", Excitation("drive", 15010.0, 0.0, 0.5, "y"))
+    assert table.command == Command("whole_angle", setpoints=Setpoints(1.0))
+    assert [is_turned(r) for r in (free, ring, driven, table)] == [False, False, False, True]
+    # the first second is left out, and the table counts from the first row all the same
+    rate, _ = applied_rate(table)
+    begins = table.t[np.flatnonzero(rate > 0.0)[0]] - rows[3][0, 0]
+    assert begins == pytest.approx(2.5, abs=2e-3)
 
 
 @pytest.mark.ros

@@ -26,7 +26,7 @@ from .columns import COLUMNS
 from .command import Command
 from .integrity import validate
 from .mcap_checksums import check_checksums
-from .parameter_log import ParameterChange, command_of, driver_changes, states_of_segments
+from .parameter_log import ParameterChange, command_of, driver_changes, states_of_segments, words_of
 from .recording import Campaign, Recording
 
 __all__ = ["import_rosbags", "read_campaign_bag"]
@@ -224,7 +224,7 @@ def _event_values(message: Any) -> dict[str, Any]:
         if field is not None:
             value = getattr(parameter.value, field)
             values[parameter.name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return values
+    return values | {parameter.name: None for parameter in message.deleted_parameters}
 
 
 def _campaign(
@@ -237,7 +237,7 @@ def _campaign(
     on_progress: Callable[[float, str], None],
 ) -> Campaign:
     states = states_of_segments(stream.first_seen, stream.changes)
-    everything: dict[str, Any] = {name: value for change in stream.changes for name, value in change.values.items()}
+    everything: dict[str, Any] = {name: value for change in stream.changes for name, value in change.values.items() if value is not None}
     device = _device_id(everything.get("device_id"), device_id)
     facts = dict(factory) if factory is not None else _factory(everything.get("factory"))
     rate = _sample_rate(everything.get("sample_rate_hz"))
@@ -309,7 +309,10 @@ def _recording(
     settled = rows[round(skip * rate) :]
     if settled.shape[0] < 2:
         return None
-    extras = _extras(state.get(EXTRAS))
+    extras = words_of(state) | _extras(state.get(EXTRAS))
+    if "applied_rate" in extras and not {"t_run_start", "settle_s"} <= extras.keys():
+        # a table's steps count from the first row, settled or not
+        extras |= {"t_run_start": float(rows[0, 0]) - 0.5 / rate, "settle_s": 0.0}
     label = state.get(LABEL) or f"segment_{int(rows[0, 1])}_{command.mode}"
     return Recording(device, settled, command, rate, label, extras)
 

@@ -7,17 +7,24 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from .attributes import command_from_attributes, decode_attribute
 from .command import MODES, Command
 
-__all__ = ["ParameterChange", "command_of", "driver_changes", "states_of_segments"]
+__all__ = ["ParameterChange", "command_of", "driver_changes", "states_of_segments", "words_of"]
 
 _COMMAND_PREFIXES = ("excitation.", "setpoint.")
 _COMMAND_NAMES = ("mode", "compensation")
+#: attributes of a recording in HDF5 that say what was commanded, and those that say more of it: a driver may have them as parameters
+_COMMAND_WORDS = ("virtual_precession_V", "excitation", "open_drive", "body_excitation", "stiffness_control", "amplitude_control")
+_WORDS = (
+    *_COMMAND_WORDS, "applied_rate", "t_run_start", "settle_s", "duration_s", "dac_zero_order_hold_s", "control_rate_hz", "adc_rate_hz",
+    "firmware_drive_phase_advance_rad",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """Parameters that one node set at once, at log time ``log_ns`` [ns]."""
+    """Parameters that one node set at once, at log time ``log_ns`` [ns]; None: it has them no longer."""
 
     log_ns: int
     node: str
@@ -55,7 +62,11 @@ def states_of_segments(first_seen: Sequence[tuple[int, int]], changes: Sequence[
     if not first_seen:
         return []
     start_ns = first_seen[0][1]
-    commands = [change.log_ns for change in changes if change.log_ns > start_ns and any(map(_is_command_name, change.values))]
+    commands = [
+        change.log_ns
+        for change in changes
+        if change.log_ns > start_ns and any(_is_command_name(name) or name in _WORDS for name in change.values)
+    ]
     steps = [later[0] - earlier[0] for earlier, later in pairwise(first_seen)]
     paired = all(step == 1 for step in steps) and len(commands) == len(steps)
     until = [start_ns, *commands] if paired else [log_ns for _, log_ns in first_seen]
@@ -63,9 +74,36 @@ def states_of_segments(first_seen: Sequence[tuple[int, int]], changes: Sequence[
 
 
 def command_of(state: Mapping[str, Any]) -> Command | None:
-    """Command in force, or None while its mode is not known."""
+    """Command in force, or None while its mode is not known.
+
+    What the parameters of a command do not say the words of a recording in HDF5 may: a schedule of stiffness, a ring-down, an open drive.
+
+    Raises
+    ------
+    DataError
+        Values that are not understood.
+    """
     flat = {name: value for name, value in state.items() if _is_command_name(name)}
-    return Command.from_parameters(flat) if "mode" in flat else None
+    if "mode" not in flat:
+        return None
+    words = {name: word for name, word in words_of(state).items() if name in _COMMAND_WORDS}
+    if not words:
+        return Command.from_parameters(flat)
+    told = command_from_attributes({"mode": flat["mode"], **words}, flat.get("setpoint.amplitude_v"))
+    said = told.to_parameters()
+    excited = {name: value for name, value in said.items() if name.startswith("excitation.") and told.excitation.kind != "none"}
+    points = {name: value for name, value in said.items() if name.startswith("setpoint.") and name not in flat}
+    return Command.from_parameters({**flat, **points, **excited, "mode": told.mode})
+
+
+def words_of(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes of a recording in HDF5 among the parameters, decoded.
+
+    Parameters
+    ----------
+    state : mapping
+    """
+    return {name: decode_attribute(state[name]) for name in _WORDS if name in state}
 
 
 def _state(changes: Sequence[ParameterChange], until_ns: int) -> dict[str, Any]:
@@ -73,7 +111,7 @@ def _state(changes: Sequence[ParameterChange], until_ns: int) -> dict[str, Any]:
     for change in changes:
         if change.log_ns <= until_ns:
             state.update(change.values)
-    return state
+    return {name: value for name, value in state.items() if value is not None}
 
 
 def _is_command_name(name: str) -> bool:
