@@ -42,8 +42,6 @@ class Recorder:
 
     def parameters(self, node, values, *, new=False, deleted=()):
         types = STORE.types
-        empty = dict.fromkeys(("byte_array_value", "bool_array_value", "integer_array_value"), np.empty(0, np.int64))
-        empty |= {"byte_array_value": np.empty(0, np.uint8), "bool_array_value": np.empty(0, np.bool_), "string_array_value": []}
         items = []
         for name, value in values.items():
             kind = {bool: 1, int: 2, float: 3, str: 4, list: 8}[type(value)]
@@ -56,14 +54,13 @@ class Recorder:
                         integer_value=value if kind == 2 else 0,
                         double_value=value if kind == 3 else 0.0,
                         string_value=value if kind == 4 else "",
-                        double_array_value=np.array(value if kind == 8 else [], dtype=float),
-                        **empty,
+                        **no_arrays() | {"double_array_value": np.array(value if kind == 8 else [], dtype=float)},
                     ),
                 )
             )
         stamp = types["builtin_interfaces/msg/Time"](self.now_ns // 10**9, self.now_ns % 10**9)
         gone = [
-            types["rcl_interfaces/msg/Parameter"](name, types["rcl_interfaces/msg/ParameterValue"](0, False, 0, 0.0, "", **gone_arrays()))
+            types["rcl_interfaces/msg/Parameter"](name, types["rcl_interfaces/msg/ParameterValue"](0, False, 0, 0.0, "", **no_arrays()))
             for name in deleted
         ]
         self.send("/parameter_events", EVENTS, types[EVENTS](stamp, node, items if new else [], [] if new else items, gone))
@@ -80,8 +77,8 @@ class Recorder:
             self.block(topic, part, labels)
 
 
-def gone_arrays():
-    """Arrays of a parameter that is not set."""
+def no_arrays():
+    """Those of a parameter that holds none."""
     numbers = {"integer_array_value": np.empty(0, np.int64), "double_array_value": np.empty(0)}
     return {"byte_array_value": np.empty(0, np.uint8), "bool_array_value": np.empty(0, np.bool_), "string_array_value": []} | numbers
 

@@ -227,7 +227,7 @@ def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
 
 def _as_rate(parameter: str, s: Signals, d: Linear, rate_rad_s: FloatArray) -> list[Part]:
     """What turns the wave as an input does."""
-    return [Part(parameter, "flow", -d.angular_gain * rate_rad_s[:, None] * (motion(s, d) @ d.reaction.T))]
+    return [Part(parameter, "flow", -d.angular_gain * rate_rad_s[:, None] * d.reacting(motion(s, d)))]
 
 
 def _warm(s: Signals) -> FloatArray:

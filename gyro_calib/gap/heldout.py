@@ -83,11 +83,6 @@ class Shrinkage:
         return math.sqrt(max(self.before, 0.0))
 
     @property
-    def rms_after(self) -> float:
-        """Root mean square over the noise."""
-        return math.sqrt(max(self.after, 0.0))
-
-    @property
     def rms_surprise(self) -> float:
         """Root mean square of what the effects leave, over the noise and what the others leave open of their sizes."""
         return math.sqrt(max(self.surprise, 0.0))
@@ -231,7 +226,8 @@ class _Unseen:
         after = before - gain
         closed, sd = _closed(gain, foretold, after - noise, noise)
         told, told_sd = _closed(told_gain, told_foretold, after - open_ - noise, noise)
-        told_sd = math.hypot(told_sd, 1.0 / max(told_foretold, _FORETOLD)) if gains and self._fisher.size else told_sd
+        if self._fisher.size:
+            told_sd = math.hypot(told_sd, 1.0 / max(told_foretold, _FORETOLD))
         labels = tuple(u.label for u in sorted(gains, key=lambda u: -u.gain)[:8] if u.gain > 0.0)
         rates = [
             math.sqrt(float(np.mean([rate**2 for rate in side]))) if side else 0.0

@@ -18,7 +18,7 @@ from .evidence import CampaignEvidence
 from .forms import FORMS
 from .images import image_columns
 from .linear_device import ROW_MOMENT, collected, span_k
-from .parts import Linear, Part, read_at_once, turned
+from .parts import Linear, Part, read_at_once
 from .signals import SMOOTH_S
 
 __all__ = [
@@ -256,7 +256,7 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, unequal: Float
             for name, factor in (("gain", 1.0), ("phase", 1j))
             for axis, a in zip(np.eye(2), "xy", strict=True)
         ]
-        across = -r.signals.temperature_k[:, None] * turned(motion)
+        across = -r.signals.temperature_k[:, None] * linear.reacting(motion)
         parts += [
             Part("gradient_split", "flow", 1j * slope * (motion @ _split_of(linear).T)),
             Part("gradient_anisotropy", "flow", slope * (motion @ unequal.T)),

@@ -82,8 +82,12 @@ class Linear:
 
     def acting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """A x, with A at each row's resonance, damping and applied rate, shape (n, 2)."""
-        turning = self.angular_gain * s.rate_rad_s[:, None] * (x @ self.reaction.T)
+        turning = self.angular_gain * s.rate_rad_s[:, None] * self.reacting(x)
         return np.asarray(x @ self.A.T + self.moved(s)[:, None] * x - turning)
+
+    def reacting(self, x: ComplexArray) -> ComplexArray:
+        """What a rate does to x, over kappa and the rate, shape (n, 2) as x: the reading of a bias, and of a table's steps."""
+        return np.asarray(x @ self.reaction.T)
 
     def resting(self, s: Signals, x: ComplexArray) -> ComplexArray:
         """The same in the frame of the resonance, wherever that is, shape (n, 2)."""

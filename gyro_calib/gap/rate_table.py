@@ -156,7 +156,7 @@ def _carrier_phases(evidence: CampaignEvidence, reaction: ComplexArray) -> list[
     """What a step that takes less than a period leaves, by the carrier's phase phi at that moment: each step of each recording by itself.
 
     Motion and velocity go on, but the velocity is ``i w p + p'``, and p' is another after the step. So p jumps by
-    ``-i (kappa dOmega / 2 w) (1 + e^{-2 i phi}) J p``, of which averaging holds the mean. A slower step leaves nothing.
+    ``-i (kappa dOmega / 2 w) (1 + e^{-2 i phi})`` times its reaction, of which averaging holds the mean. A slower step leaves nothing.
     """
     columns = []
     for r in evidence:

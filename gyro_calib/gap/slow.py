@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from .column import Column
 from .columns import part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
-from .parts import SPLIT, Linear, Part, turned
+from .parts import SPLIT, Linear, Part
 
 __all__ = ["MOST_WANDER", "drift_family", "slow_drifts"]
 
@@ -41,7 +41,7 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
     closed = complex(r.is_wave)
     unit = np.full((len(s.time_s), 2), closed)
     motion = s.pick - s.drive @ linear.E.T
-    across = -closed * turned(motion)
+    across = -closed * linear.reacting(motion)
     axes: list[ComplexArray] = [np.array([1.0 + 0j, 0.0]), np.array([0.0 + 0j, 1.0])]
     parts = []
     for axis, name in zip(axes, "xy", strict=True):
