@@ -185,7 +185,7 @@ def losses(r: Rows) -> ComplexArray:
     return np.asarray(2.0 * lossy / np.trace(lossy), dtype=complex)
 
 
-RAMP_K_S, LAG_S = 2.0, 0.3
+RAMP_K_S, LAG_S, SWAY = 2.0, 0.3, {"frequency_hz": 1.7, "r": 0.05, "phase_rad": 0.4}
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
     "thermal_damping_curvature": ({"c": 0.01}, lambda r: -r.size["c"] * WARM_K**2 * r.p @ losses(r)),
@@ -193,6 +193,7 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_frequency_curvature": ({"k": 0.01}, lambda r: 1j * r.size["k"] * WARM_K**2 * r.p),
     "thermal_bias": ({"b": 0.02}, lambda r: -r.size["b"] * 0.8 * WARM_K * r.p @ TURN.T),
     "bias_drift": ({"b": 0.1}, lambda r: -r.size["b"] * 0.8 * r.t[:, None] * (r.p @ TURN.T)),
+    "base_sway": (SWAY, lambda r: -r.size["r"] * 0.8 * np.cos(3.4 * math.pi * r.t + r.size["phase_rad"])[:, None] * (r.p @ TURN.T)),
     "thermal_split": ({"k_c": 0.02, "k_s": 0.03}, lambda r: 1j * WARM_K * r.p @ split(r, "k_c", "k_s")),
     "thermal_split_curvature": ({"k_c": 2e-3, "k_s": 3e-3}, lambda r: 1j * WARM_K**2 * r.p @ split(r, "k_c", "k_s")),
     "thermal_drive_gain": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.force(WARM_K * by_axis(r, "g_x", "g_y") * r.u)),

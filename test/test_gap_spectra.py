@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flow_samples import quiet_flows
 from scipy.integrate import solve_ivp
 
-from gyro_calib.gap.diagnose import _without_products
+from gyro_calib.gap.diagnose import _swaying_at_rest, _without_products
 from gyro_calib.gap.noise_growth import noise_growth
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.reference_spur import _standing
@@ -111,6 +112,9 @@ def test_a_line_that_the_drives_make_is_no_hum(told: bool) -> None:
     assert said.effects == ()
     assert said.unknown is not None
     assert said.unknown.form.startswith("drives that go to and fro at 20 Hz")
+    sways = spectral_effects(found, LINEAR, (), [Swing("precession", 20.02, 75.0, 30, 1e-4, 4e-6, 1e-4, 0.3, 0.1)])
+    assert [e.name for e in sways.effects] == ["base_sway"]
+    assert sways.unknown is None
 
 
 @pytest.mark.parametrize(("hz", "asked"), [(3.1, False), (6.0, False), (9.7, True)])
@@ -143,6 +147,35 @@ def test_a_steady_swing_of_the_frequency_is_a_spur_of_the_reference() -> None:
     for other in (replace(steady, frequency_hz=0.4), replace(steady, channel="amplitude"), replace(steady, size=0.0)):
         assert spectral_effects(found, LINEAR, (), [other]).effects == ()
     assert spectral_effects(found, LINEAR, ["reference_spur"], [steady]).effects == ()
+
+
+def test_a_steady_swing_of_the_precession_is_a_base_that_sways() -> None:
+    """A wave turns by minus kappa times the rate. What has a size of its own in each recording is no sway of one base."""
+    found = records(np.random.default_rng(0))
+    steady = Swing("precession", 1.7, 75.0, 30, 1e-4, 4e-6, 1e-4, 0.3, 0.1)
+    (sway,) = spectral_effects(found, LINEAR, (), [steady]).effects
+    assert sway.name == "base_sway"
+    kappa = LINEAR.angular_gain
+    assert (sway.parameters["r"].value, sway.parameters["r"].sd) == pytest.approx((1e-4 / kappa, 4e-6 / kappa))
+    assert sway.parameters["phase_rad"].value == pytest.approx(0.3 - np.pi)
+    for other in (replace(steady, channel="quadrature"), replace(steady, size=0.0)):
+        assert spectral_effects(found, LINEAR, (), [other]).effects == ()
+    assert spectral_effects(found, LINEAR, ["base_sway"], [steady]).effects == ()
+
+
+@pytest.mark.parametrize("at_rest", [True, False])
+def test_beside_other_effects_a_base_sways_in_waves_that_stand_still_too(at_rest: bool) -> None:
+    steady = Swing("precession", 1.7, 75.0, 30, 1e-4, 4e-6, 1e-4, 0.3, 0.1)
+    beside = spectral_effects(records(np.random.default_rng(0)), LINEAR, (), [steady])
+    flows = quiet_flows(np.random.default_rng(1), [3.0 + 17.3 * k for k in range(12)], 900)
+    swayed = []
+    for flow in flows:
+        t = flow.start_s + flow.row_s * np.arange(900)
+        rate = {**flow.rate, "precession": flow.rate["precession"] + 2e-5 * np.cos(2.0 * np.pi * 1.7 * t)}
+        swayed.append(replace(flow, rate=rate, excited_hz=0.0 if at_rest else 0.23))
+    left = _swaying_at_rest(beside, swayed)
+    assert [e.name for e in left.effects] == (["base_sway"] if at_rest else [])
+    assert {s.name: s.status for s in left.standings}["base_sway"] == ("present" if at_rest else "excluded")
 
 
 @pytest.mark.parametrize("hum_v", [0.0, 2e-5])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -102,14 +103,16 @@ def test_few_recordings_tell_nothing() -> None:
     assert find_steady_swing(rocked[:5]) is None
 
 
-def test_size_is_told_with_its_sd() -> None:
-    sizes = []
-    for seed in range(8):
+def test_size_frequency_and_phase_are_told_with_their_sd() -> None:
+    errors = []
+    for seed in range(16):
         found = find_steady_swing(swinging(flows(np.random.default_rng(seed)), "precession", 8e-6, np.full(COUNT, 0.6)))
         assert found is not None
-        sizes.append((found.size - 8e-6) / found.size_sd)
-    assert abs(float(np.mean(sizes))) < 1.0
-    assert 0.3 < float(np.std(sizes)) < 2.0
+        late = math.remainder(found.phase_rad - 0.6 + 0.5 * math.pi, 2.0 * math.pi)
+        differences = found.size - 8e-6, found.frequency_hz - SWING_HZ, late
+        errors.append(np.divide(differences, (found.size_sd, found.frequency_sd_hz, found.phase_sd_rad)))
+    assert np.all(np.abs(np.mean(errors, axis=0)) < 1.0)
+    assert np.all((np.std(errors, axis=0) > 0.3) & (np.std(errors, axis=0) < 2.0))
 
 
 @pytest.mark.parametrize("excited_hz", [0.1, 0.5, 1.0])

@@ -279,6 +279,17 @@ MOTION = (
         ("angular_gain_error", "rate_nonlinearity"),
     ),
     Effect(
+        "base_sway", "Base that sways: a rate at one frequency", "environment", (37, 38, 50),
+        (
+            positive("frequency_hz", "Hz", 2.0, 1000.0, "frequency of the sway", lower=0.01),
+            positive("r", "rad/s", 1e-4, 1.0, "its rate's amplitude"),
+            signed("phase_rad", "rad", 1.0, 6.2832, "phase of its cosine at device time 0"),
+        ),
+        ("time",), BOTH,
+        "p' += -kappa r cos(2 pi frequency t + phase) J p, t the device time",
+        ("bias_drift",),
+    ),
+    Effect(
         "external_tone", "Vibration or mains force at one frequency near the resonance", "environment", (37,),
         (
             positive("frequency_hz", "Hz", 15010.0, 1e6, "absolute frequency", lower=1.0),

@@ -92,6 +92,7 @@ def diagnose(
     selection = select_effects(model)
     beside = with_unseen_steps(beside, model, selection, left_out)
     selection = _without_products(model, selection, beside)
+    beside = _swaying_at_rest(beside, flows) if selection.effects else beside
     chosen = [e.candidate for e in selection.effects]
     rich = model.fitted(chosen) if chosen else model.base
     report(0.88, "unseen experiments")
@@ -279,6 +280,17 @@ def _within_recordings(flows: Sequence[FlowLeft], swings: Sequence[Swing], with_
     return max(found, key=lambda unknown: unknown.gain, default=None)
 
 
+def _swaying_at_rest(beside: SpectralEffects, flows: Sequence[FlowLeft]) -> SpectralEffects:
+    """Without a rate that goes to and fro only where effects do, in waves that turn or that a side band moves."""
+    if not any(e.name == "base_sway" for e in beside.effects):
+        return beside
+    still = find_steady_swing([flow for flow in flows if flow.is_still])
+    if still is not None and still.is_a_rate:
+        return beside
+    excluded = tuple(replace(s, status="excluded") if s.name == "base_sway" else s for s in beside.standings)
+    return replace(beside, effects=tuple(e for e in beside.effects if e.name != "base_sway"), standings=excluded)
+
+
 def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:
     if unknown is not None:
         return "unknown"
@@ -328,7 +340,7 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
         words.append(f"{e.name} ({size}), or {alike}")
     if all(e.name in SPECTRAL for e in effects):
-        return f"Present: {'; and '.join(words)}. It stands in the spectrum beside the carrier and leaves the slow flow alone."
+        return f"Present: {'; and '.join(words)}. It stands in the spectra and leaves the means of the slow flow alone."
     if all(e.name in (*SPECTRAL, *LOOP_EFFECTS) for e in effects):
         return f"Present: {'; and '.join(words)}. It is in what the loops ask for, and leaves the slow flow alone."
     if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS) for e in effects):

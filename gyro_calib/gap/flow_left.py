@@ -49,7 +49,7 @@ class FlowLeft:
     azimuth_rad : ndarray, shape (n,)
         Of the wave.
     start_s : float
-        Of its first row, on the campaign's clock.
+        Device time of its first row.
     """
 
     label: str
@@ -120,7 +120,7 @@ def _flow_left(r: RecordingEvidence, linear: Linear) -> FlowLeft:
         abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * s.row_s * len(azimuth)),
         {name: _straightened(x) for name, x in zip(CHANNELS, (along.real, along.imag, across.real, across.imag), strict=True)},
         azimuth,
-        float(s.time_s[0]),
+        s.start_s + float(s.time_s[0]),
     )
 
 

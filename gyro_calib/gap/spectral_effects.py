@@ -23,7 +23,7 @@ from .tones import Tone, find_tone
 __all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "found_beside", "spectral_effects"]
 
 #: effects that are found here: in the spectra, and in samples at the converters' rate
-SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise", "reference_spur")
+SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise", "reference_spur", "base_sway")
 SAMPLED = ("pickoff_quantisation",)
 
 #: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
@@ -85,12 +85,17 @@ def spectral_effects(
     effects = []
     swing = _swing(tone, recordings, linear)
     driven = _driven_line(tone, recordings, linear) if swing is None else None
+    if (swing is not None or driven is not None) and any(s.is_a_rate for s in _at_line(tone, swings, recordings)):
+        # a base that sways there: the loops answer it, and so their drives and their reference do
+        tone = swing = driven = None
     if tone is not None and tone.name not in left_out and not tone.of_wave and swing is None and driven is None:
         effects.append(_tone(tone, left_out))
     if tone is not None and swing is not None and "reference_spur" not in left_out:
         effects.append(_spur(Quantity(tone.frequency_hz, tone.frequency_sd_hz, "Hz"), swing, tone.log_evidence))
     if tone is None and "reference_spur" not in left_out:
         effects += [_steady_spur(swing) for swing in swings if swing.swings_the_phase]
+    if "base_sway" not in left_out:
+        effects += [_sway(swing, linear.angular_gain) for swing in swings if swing.is_a_rate]
     # a line that grows with the wave is all of a floor that does
     rippling = driven or _rippling_gain(tone, swing)
     if any(e.name == "reference_spur" for e in effects):
@@ -176,13 +181,28 @@ def _steady_spur(steady: Swing) -> FoundEffect:
     return _spur(frequency, (steady.size / omega, steady.size_sd / omega), steady.log_evidence)
 
 
+def _sway(steady: Swing, angular_gain: float) -> FoundEffect:
+    """Of a rate: a wave turns by ``-kappa`` times it (theory.md Eq. 1)."""
+    parameters = {
+        "frequency_hz": Quantity(steady.frequency_hz, steady.frequency_sd_hz, "Hz"),
+        "r": Quantity(steady.size / angular_gain, steady.size_sd / angular_gain, "rad/s"),
+        "phase_rad": Quantity(math.remainder(steady.phase_rad + math.pi, 2.0 * math.pi), steady.phase_sd_rad, "rad"),
+    }
+    return found_beside("base_sway", parameters, 2.0 * steady.log_evidence)
+
+
 def _not_swinging(tone: Tone | None, swings: Sequence[Swing], recordings: Sequence[Recording]) -> Tone | None:
     """A line, unless it is the lesser part of what goes to and fro in the slow flow: what is added to the wave is more than that."""
+    same = _at_line(tone, swings, recordings)
+    return None if any(tone is not None and swing.log_evidence > tone.log_evidence for swing in same) else tone
+
+
+def _at_line(tone: Tone | None, swings: Sequence[Swing], recordings: Sequence[Recording]) -> list[Swing]:
+    """What goes to and fro in the slow flow as often as a line at the carrier, to a bin of the shortest record."""
     if tone is None or tone.name != "mains_pickup":
-        return tone
+        return []
     bin_hz = 1.0 / min(r.duration_s for r in plain_records(recordings))
-    same = [swing for swing in swings if abs(tone.frequency_hz - swing.frequency_hz) < bin_hz]
-    return None if any(swing.log_evidence > tone.log_evidence for swing in same) else tone
+    return [swing for swing in swings if abs(tone.frequency_hz - swing.frequency_hz) < bin_hz]
 
 
 def _driven_line(tone: Tone | None, recordings: Sequence[Recording], linear: Linear) -> Unknown | None:

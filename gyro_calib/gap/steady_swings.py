@@ -163,10 +163,24 @@ def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: Flo
     if beyond <= _MARGIN:
         return None
     whole = heard.part(told, best).together()
-    size, size_sd = float(np.abs(whole.best()[0])), float(np.sqrt(2.0 / whole.a[0]))
+    swing, size_sd = complex(whole.best()[0]), float(np.sqrt(2.0 / whole.a[0]))
+    size = abs(swing)
     # the bound of a line in a record that is as long as the campaign
     frequency_sd_hz = math.sqrt(3.0) / math.pi * (grid[1] - grid[0]) / _STEP * size_sd / size
-    return Swing(channel, float(fine[fine > 0.0][best]), beyond, int(told.sum()), size, size_sd, frequency_sd_hz)
+    # of a phase in the middle, and what a frequency that is so uncertain, or tried so coarsely, turns it by until the clock's zero
+    middle_s = float(np.mean([flow.start_s + 0.5 * flow.duration_s for kind in kinds for flow in kind.flows]))
+    to_zero = 2.0 * math.pi * middle_s * math.hypot(frequency_sd_hz, 0.5 * float(fine[1] - fine[0]))
+    return Swing(
+        channel,
+        float(fine[fine > 0.0][best]),
+        beyond,
+        int(told.sum()),
+        size,
+        size_sd,
+        frequency_sd_hz,
+        float(np.angle(swing)),
+        math.hypot(size_sd / size, to_zero),
+    )
 
 
 def _evidence(heard: _Heard) -> FloatArray:

@@ -65,6 +65,8 @@ class Swing:
     size : float
         Amplitude of the relative rate of change [1/s], of a steady one; 0 where each record has its own.
     size_sd, frequency_sd_hz : float
+    phase_rad, phase_sd_rad : float
+        Of its cosine at the zero of the device's clock, of a steady one.
     """
 
     channel: str
@@ -74,6 +76,13 @@ class Swing:
     size: float = 0.0
     size_sd: float = 0.0
     frequency_sd_hz: float = 0.0
+    phase_rad: float = 0.0
+    phase_sd_rad: float = 0.0
+
+    @property
+    def is_a_rate(self) -> bool:
+        """Whether it is a rate that keeps its time: of a base that sways."""
+        return self.channel == "precession" and self.size > 0.0
 
     @property
     def swings_the_phase(self) -> bool:

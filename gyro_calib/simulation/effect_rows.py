@@ -27,7 +27,7 @@ SLOW_EFFECTS = frozenset(
         "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
         "frequency_ageing", "clock_drift", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
         "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "centrifugal_stiffness_axes", "rate_dependent_damping",
-        "angular_gain_error", "rate_nonlinearity", "rate_asymmetry",
+        "angular_gain_error", "rate_nonlinearity", "rate_asymmetry", "base_sway",
     )
 )  # fmt: skip
 
@@ -117,6 +117,8 @@ class SlowEffects:
         excess = excess + self._size("rate_asymmetry", "e") * rate
         bias = self._size("thermal_bias", "b") * rise + self._size("bias_drift", "b") * t
         bias = bias + self._size("thermal_bias_lag", "b") * self._behind("thermal_bias_lag", rise)
+        swayed = 2.0 * math.pi * self._size("base_sway", "frequency_hz") * t + self._size("base_sway", "phase_rad")
+        bias = bias + self._size("base_sway", "r") * np.cos(swayed)
         turn = self._device.resonator.angular_gain * (excess * rate + bias)
         damping = self._device.resonator.damping_matrix()
         bent = self._size("thermal_damping_curvature", "c") * np.multiply.outer(rise**2, 2.0 * damping / np.trace(damping))

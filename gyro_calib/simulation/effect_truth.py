@@ -36,7 +36,8 @@ class SteadyEffects:
         self._numbers = envelope_constants(device.effects)
         self._motion_v = device.pickoff_matrix() / device.pickoff.gain_v_per_m
         temperature = np.array([device.environment.temperature_degc])
-        self._terms = SlowEffects(device).terms(np.array([rate_rad_s]), temperature)
+        lasting = {name: sizes for name, sizes in device.effects.items() if name != "base_sway"}
+        self._terms = SlowEffects(replace(device, effects=lasting)).terms(np.array([rate_rad_s]), temperature)
         # what is slow has settled: it is a gain (of a wave that stands; one that turns within the time constant has none of it)
         self._drive_gain = 1.0 + device.effects.get("drive_memory", {}).get("share", 0.0)
         self._pick_gain = 1.0 + device.effects.get("pickoff_memory", {}).get("share", 0.0)
