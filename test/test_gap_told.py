@@ -85,6 +85,39 @@ def test_intervals_of_a_share_and_its_time_hold_the_truth() -> None:
     assert alone / DRAWS < 0.70  # at the time that was found, as if it were known
 
 
+class Dead(Toy):
+    """A dead zone far below its drive: of it and of its share, which is one, a recording tells the product."""
+
+    def candidate(self, name: str, setting: Any) -> Candidate:
+        of_level = 2e4 * setting.get("level", 0.0) * self.shape(1.0)
+        return Candidate(name, setting, (column("share", of_level),), np.array([10.0]), 2)
+
+    def grid(self, name: str, key: str) -> list[Candidate]:
+        return [self.candidate(name, {key: level}) for level in (0.02, 0.05)]
+
+    def told(self, level: float) -> dict[str, Quantity]:
+        effect = self.screener.screen(self.candidate("drive_dead_zone", {"level": level}))
+        assert effect is not None
+        columns = [self.nuisances[0], column("drive_dead_zone.share", effect.candidate.columns[0].signal[0].real)]
+        rich = solve(columns, WHITE.design(columns, 1), WHITE.rows(self.target))
+        return told_sizes(cast(CampaignModel, self), (effect,), 0, rich)
+
+
+def test_a_level_that_shows_by_its_size_alone_is_known_as_well_as_that() -> None:
+    """One of 2.85e-5 V in a chi-square of 1192 was 0 +- 0.0087 V: half of a step of the grid, for no bend told its shape."""
+    rng, level, errors = np.random.default_rng(8), 1e-3, []
+    for _ in range(DRAWS):
+        toy = Dead(2e4 * level * Toy.shape(1.0) + rng.standard_normal(ROWS))
+        there = toy.screener.screen(toy.candidate("drive_dead_zone", {"level": level}))
+        assert there is not None
+        # where the search ends: at the level of which all is taken
+        told = toy.told(level * float(there.sizes()["share"][0]))
+        assert set(told) == {"level"}
+        errors.append((told["level"].value - level) / told["level"].sd)
+    assert abs(float(np.mean(errors))) < 0.3
+    assert float(np.std(errors)) == pytest.approx(1.0, abs=0.15)
+
+
 def test_what_a_healthy_device_has_as_well_is_part_of_the_size() -> None:
     rng = np.random.default_rng(6)
     rows = 20.0 * Toy.shape(1.3) + rng.standard_normal(ROWS)

@@ -353,10 +353,11 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
 
 def _said(q: Quantity) -> str:
     """To the second digit of its standard deviation."""
+    unit = "" if q.unit == "1" else f" {q.unit}"
     if not (q.sd > 0.0 and math.isfinite(q.sd)):
-        return f"{q.value:.3g} ± {q.sd:.2g} {q.unit}"
+        return f"{q.value:.3g} ± {q.sd:.2g}{unit}"
     last = math.floor(math.log10(q.sd)) - 1
     # no minus before nothing
     value = round(q.value, -last) + 0.0
     digits = max(math.floor(math.log10(abs(value))) - last + 1, 1) if value else 1
-    return f"{value:.{digits}g} ± {q.sd:.2g} {q.unit}"
+    return f"{value:.{digits}g} ± {q.sd:.2g}{unit}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,8 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
             parts += [s.slopes.get(column.name, 0.0) * s.sd for s in settled.values()]
         told[column.name] = Quantity(float(rich.values[place]), math.hypot(*parts), units.get(column.name, "1"))
     told |= {key: Quantity(float(e.candidate.setting[key]), s.sd, units[key]) for key, s in settled.items()}
+    if "level" in settled and "share" in told:
+        told["level"] = _of_all_of_it(model, effects, k, told["level"], told.pop("share"))
     if e.name == "thermal_lag":
         # a short lag is known by the product of the time that was tried and its share alone, and a healthy thermometer has one of its own
         share, tried = told.pop("share"), told["tau"]
@@ -76,6 +78,18 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
     if e.name == "multiplexing_skew":
         told["tau"] = _of_its_tangent(told["tau"], model.evidence.omega0_rad_s)
     return told
+
+
+def _of_all_of_it(model: CampaignModel, effects: tuple[Screened, ...], k: int, level: Quantity, share: Quantity) -> Quantity:
+    """A level by its shape, and by its share being one: a dead zone far below its drive takes as much as its level, whatever its shape."""
+    e = effects[k]
+    screener = model.screener_with([other.candidate for j, other in enumerate(effects) if j != k])
+    step = _LEAST * level.value
+    below, above = (_at(model, screener, e, "level", level.value + side * step) for side in (-1.0, 1.0))
+    if below is None or above is None or share.sd == 0.0:
+        return level
+    slope = (above.sizes()["share"][0] - below.sizes()["share"][0]) / (2.0 * step)
+    return replace(level, sd=1.0 / math.hypot(1.0 / level.sd, slope / share.sd))
 
 
 def _of_its_tangent(late: Quantity, omega_rad_s: float) -> Quantity:

@@ -22,7 +22,8 @@ def effects_table(diagnosis: Diagnosis) -> Table:
         for k, (name, quantity) in enumerate(effect.parameters.items()):
             value, sd, unit = quantity_cells(quantity)
             first = (effect.name, f"{100.0 * effect.probability:.1f} %", effect.location, _others(effect)) if k == 0 else ("", "", "", "")
-            rows.append((first[0], f"{name} = {value} ± {sd} {unit}", *first[1:]))
+            size = f"{name} = {value} ± {sd}" + ("" if unit == "1" else f" {unit}")
+            rows.append((first[0], size, *first[1:]))
         if BENT in effect.title:
             rows.append(("", "a course that " + effect.title.split(BENT)[1], "", "", ""))
     for words, probability in _beside_the_named(diagnosis):
