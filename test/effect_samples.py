@@ -150,3 +150,14 @@ def pumps(r: Rows) -> ComplexArray:
     """Pump rates of each axis."""
     h = r.size
     return np.array([complex(h["h_xc"], h["h_xs"]), complex(h["h_yc"], h["h_ys"])])
+
+
+def fed(r: Rows) -> ComplexArray:
+    """Feedthrough by axis of the pick-off, a second."""
+    return np.asarray(by_axis(r, "e_xc", "e_yc") + 1j * by_axis(r, "e_xs", "e_ys"))
+
+
+def losses(r: Rows) -> ComplexArray:
+    """The damping over its mean."""
+    lossy = (r.A + r.A.T).real
+    return np.asarray(2.0 * lossy / np.trace(lossy), dtype=complex)

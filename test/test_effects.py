@@ -28,7 +28,9 @@ from effect_samples import (
     compiled_only,
     coupled,
     cubes,
+    fed,
     isotropic,
+    losses,
     measured,
     plain_device,
     pumps,
@@ -179,12 +181,7 @@ def _of_late_y(r: Rows) -> ComplexArray:
     return np.asarray(r.p @ other.T + r.u @ (turn @ r.G - r.G).T + r.reading(late))
 
 
-def losses(r: Rows) -> ComplexArray:
-    """The damping over its mean."""
-    lossy = (r.A + r.A.T).real
-    return np.asarray(2.0 * lossy / np.trace(lossy), dtype=complex)
-
-
+FED = {"e_xc": 2e-3, "e_xs": -1e-3, "e_yc": 3e-3, "e_ys": 2e-3}
 RAMP_K_S, LAG_S, SWAY = 2.0, 0.3, {"frequency_hz": 1.7, "r": 0.05, "phase_rad": 0.4}
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
@@ -214,6 +211,8 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "drive_gain_drift": ({"g_x": 0.01, "g_y": 5e-3}, lambda r: r.force(r.t[:, None] * by_axis(r, "g_x", "g_y") * r.u)),
     "drive_phase_drift": ({"g_x": 1e-3, "g_y": 5e-4}, lambda r: r.force(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.u)),
     "pickoff_gain_drift": ({"g_x": 1e-3, "g_y": 5e-4}, lambda r: r.reading(r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
+    "feedthrough_drift": (FED, lambda r: r.reading(r.t[:, None] * r.u * fed(r))),
+    "cross_feedthrough_drift": (FED, lambda r: r.reading(r.t[:, None] * r.u[:, ::-1] * fed(r))),
     "pickoff_phase_drift": ({"g_x": 2e-4, "g_y": 1e-4}, lambda r: r.reading(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
     "centrifugal_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * RATE**2 * r.p),
     "centrifugal_stiffness_axes": ({"k_x": 0.5, "k_y": 0.2}, lambda r: 1j * RATE**2 * by_axis(r, "k_x", "k_y") * r.p),
@@ -256,7 +255,7 @@ def test_effect_of_surroundings_and_time_is_its_closed_form(plain: Device, name:
 
 
 @compiled_only
-@pytest.mark.parametrize("name", sorted(set(ENVIRONMENT) - {"thermal_feedthrough"}))
+@pytest.mark.parametrize("name", sorted(n for n in ENVIRONMENT if "feedthrough" not in n))
 def test_slow_flow_follows_surroundings_and_time_too(plain: Device, name: str) -> None:
     sizes, form = ENVIRONMENT[name]
     around = surroundings(name)

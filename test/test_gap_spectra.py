@@ -21,7 +21,7 @@ from gyro_calib.gap.select import Selection
 from gyro_calib.gap.spectra import is_image, pick_spectra
 from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
 from gyro_calib.gap.swings import Swing
-from gyro_calib.gap.tones import _volts, find_tone
+from gyro_calib.gap.tones import Tone, _volts, find_tone
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Excitation, Setpoints
 from gyro_calib.recording.recording import Recording
@@ -161,6 +161,20 @@ def test_a_steady_swing_of_the_precession_is_a_base_that_sways() -> None:
     for other in (replace(steady, channel="quadrature"), replace(steady, size=0.0)):
         assert spectral_effects(found, LINEAR, (), [other]).effects == ()
     assert spectral_effects(found, LINEAR, ["base_sway"], [steady]).effects == ()
+
+
+def test_a_tone_within_the_signal_is_one_of_vibration_and_no_swing() -> None:
+    found = records(np.random.default_rng(0))
+    tone = Tone("external_tone", ("pickoff_interference",), 15012.5, 0.01, np.array([4e-7, 2e-7]), np.array([1e-8, 1e-8]), 90.0, 1e-8)
+    swing = Swing("precession", 2.5, 40.0, 9, 1e-4, 4e-6, 1e-4, 0.3, 0.1)
+    said = spectral_effects(found, LINEAR, (), [swing], tone)
+    assert [e.name for e in said.effects] == ["external_tone"]
+    assert said.effects[0].parameters["a_x"].value == 4e-7
+    # all recordings are near it, and none is the less of use
+    assert said.near == ()
+    assert spectral_effects(found, LINEAR, ("external_tone",), [], tone).effects == ()
+    louder = records(np.random.default_rng(0), hum=(40.0, 4e-5))
+    assert [e.name for e in spectral_effects(louder, LINEAR, (), [], replace(tone, log_evidence=11.0)).effects] == ["mains_pickup"]
 
 
 @pytest.mark.parametrize("at_rest", [True, False])

@@ -233,6 +233,20 @@ TIME = (
         "V_j += i g_j t V_j",
         ("drive_phase_drift", "split_drift"),
     ),
+    Effect(
+        "feedthrough_drift", "Feedthrough of an axis' own drive that drifts with time", "environment", (21, 31),
+        (*pair("e_xc e_xs", "1/s", 2e-7, 0.01, "of x per second"), *pair("e_yc e_ys", "1/s", 2e-7, 0.01, "of y per second")),
+        ("time", "open drive"), BOTH,
+        "V_j += (e_jc + i e_js) t u_j",
+        ("pickoff_phase_drift", "pickoff_gain_drift", "cross_feedthrough_drift"),
+    ),
+    Effect(
+        "cross_feedthrough_drift", "Feedthrough of the other axis' drive that drifts with time", "environment", (22, 31),
+        (*pair("e_xc e_xs", "1/s", 2e-7, 0.01, "to x per second"), *pair("e_yc e_ys", "1/s", 2e-7, 0.01, "to y per second")),
+        ("time", "open drive"), BOTH,
+        "V_j += (e_jc + i e_js) t u_k, k the other axis",
+        ("feedthrough_drift", "bias_drift", "split_drift"),
+    ),
 )  # fmt: skip
 
 MOTION = (

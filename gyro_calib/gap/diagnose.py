@@ -27,6 +27,7 @@ from .linear_device import linear_of
 from .loop_effects import LOOP_EFFECTS, loop_effects
 from .loud import loudest
 from .model import CampaignModel, look_at
+from .near_tones import find_near_tone
 from .next_experiment import experiment_for, next_experiment
 from .odd_one_out import check_alike
 from .periods import find_period
@@ -87,7 +88,8 @@ def diagnose(
     report(0.7, "selecting effects")
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
-    beside = with_coarse_drive(spectral_effects(recordings, model.linear, left_out, swings), model, recordings, left_out)
+    beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear))
+    beside = with_coarse_drive(beside, model, recordings, left_out)
     beside = with_gain_flicker(beside, model.evidence, model.linear, model.noise, left_out)
     selection = select_effects(model)
     beside = with_unseen_steps(beside, model, selection, left_out)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .parts import Setting
+from .parts import Part, Setting
 from .signals import Signals
 
 if TYPE_CHECKING:
     from .screen import Candidate, Screener
 
-__all__ = ["BENT", "COURSES", "best_course", "drift_settings", "drifted", "said_course", "without_bent"]
+__all__ = ["BENT", "COURSES", "best_course", "drift_settings", "drifted", "drifting_feedthrough", "said_course", "without_bent"]
 
 FloatArray = NDArray[np.float64]
 #: settings: time constant of one that saturates, time from which on one that slows goes with the log; each with the end of the campaign
@@ -52,6 +52,12 @@ def drifted(s: Signals, setting: Setting) -> FloatArray:
         first = setting["slows_s"]
         return np.asarray(end * np.log1p(np.maximum(s.time_s, 0.0) / first) / np.log1p(end / first))
     return s.time_s
+
+
+def drifting_feedthrough(s: Signals, setting: Setting, *, across: bool) -> list[Part]:
+    """What feeds through of an axis' own drive, or ``across`` of the other one's: in phase (c) and a quarter of a cycle off (s)."""
+    fed = drifted(s, setting)[:, None] * (s.drive[:, ::-1] if across else s.drive)
+    return [Part(f"e_{n}{q}", "output", f * fed * np.eye(2)[k]) for k, n in enumerate("xy") for q, f in (("c", 1.0), ("s", 1j))]
 
 
 def best_course(beside: Screener, tried: Sequence[Candidate], here: Candidate, refined: Callable[[Candidate], Candidate]) -> Candidate:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .drifts import drift_settings, drifted
+from .drifts import drift_settings, drifted, drifting_feedthrough
 from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
@@ -385,6 +385,8 @@ FORMS: dict[str, Form] = {
     "drive_phase_drift": _drifting_drive(1j),
     "pickoff_gain_drift": _drifting_reading(1.0),
     "pickoff_phase_drift": _drifting_reading(1j),
+    "feedthrough_drift": Form(lambda s, d, g: drifting_feedthrough(s, g, across=False), drift_settings),
+    "cross_feedthrough_drift": Form(lambda s, d, g: drifting_feedthrough(s, g, across=True), drift_settings),
     "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),
     "rate_dependent_damping": _damping("c", _rate),
     "angular_gain_error": Form(lambda s, d, g: _as_rate("e", s, d, s.rate_rad_s)),

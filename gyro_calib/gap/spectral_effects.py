@@ -62,7 +62,11 @@ class SpectralEffects:
 
 
 def spectral_effects(
-    recordings: Sequence[Recording], linear: Linear, without: Iterable[str] = (), swings: Sequence[Swing] = ()
+    recordings: Sequence[Recording],
+    linear: Linear,
+    without: Iterable[str] = (),
+    swings: Sequence[Swing] = (),
+    near_tone: Tone | None = None,
 ) -> SpectralEffects:
     """Lines that no command asks for, and a floor that grows with the amplitude.
 
@@ -74,10 +78,15 @@ def spectral_effects(
         Effects that the registry shall not hold (blind trials): of a line that is there all the same nothing is said.
     swings : sequence of Swing
         What goes to and fro in the slow flow.
+    near_tone : Tone or None
+        Within the signal, where the spectra hear nothing.
     """
     left_out = set(without)
     spectra = pick_spectra(recordings)
     tone, growth = _not_swinging(find_tone(spectra, linear), swings, recordings), noise_growth(recordings)
+    if near_tone is not None and (tone is None or tone.log_evidence < near_tone.log_evidence):
+        # what it makes in the frame of a wave goes to and fro
+        tone, swings = near_tone, ()
     steps = converter_steps(recordings)
     if steps is not None and steps.undithered:
         # lines within a step, and noise that changes with the amplitude, are what such rounding makes
@@ -111,7 +120,8 @@ def spectral_effects(
     standings = [_standing(name, present, alike, growth, bool(spectra), _sampled(recordings)) for name in names]
     products = _SQUARES * tone.share**2 * 2.0 * tone.log_evidence if tone is not None else 0.0
     products = max(products, steps.rounded_gain if steps is not None and rounded else 0.0)
-    near = () if tone is None or tone.name != "external_tone" else near_line(recordings, tone.frequency_hz)
+    # all recordings are near what stands within the signal, and of none it is a part that lasts
+    near = () if tone is None or tone is near_tone or tone.name != "external_tone" else near_line(recordings, tone.frequency_hz)
     return SpectralEffects(tuple(effects), rippling or _noisy_clock(growth), tuple(standings), products, near)
 
 

@@ -39,8 +39,7 @@ from .effect_layout import (
     E_TONE_Y,
     M_MODE,
     M_TIME,
-    R_FEED_X,
-    R_FEED_Y,
+    R_FEED,
     R_MODE_OMEGA,
 )
 from .effect_memory import relaxing_force
@@ -70,10 +69,14 @@ def always_on_forces(z, memory, effect, b, c, s, ca, sa, wxr, wxi, wyr, wyi):  #
 def stray_feeds(memory, effect, row, uxc, uxs, uyc, uys, exr, exi, eyr, eyi):  # type: ignore[no-untyped-def]
     """Voltage phasors that reach the pick-offs besides the motion: feedthrough that moved, interference, hum [V]."""
     hum = math.cos(effect[E_HUM_OMEGA] * (memory[M_TIME] + 0.5 * effect[E_PERIOD]))
-    exr = exr + effect[E_STRAY] + row[R_FEED_X] * uxc + effect[E_HUM_X] * hum
-    exi = exi + effect[E_STRAY + 1] + row[R_FEED_X] * uxs
-    eyr = eyr + effect[E_STRAY + 2] + row[R_FEED_Y] * uyc + effect[E_HUM_Y] * hum
-    eyi = eyi + effect[E_STRAY + 3] + row[R_FEED_Y] * uys
+    exr = exr + effect[E_STRAY] + effect[E_HUM_X] * hum
+    exi = exi + effect[E_STRAY + 1]
+    eyr = eyr + effect[E_STRAY + 2] + effect[E_HUM_Y] * hum
+    eyi = eyi + effect[E_STRAY + 3]
+    xxr, xxi, xyr, xyi = row[R_FEED], row[R_FEED + 1], row[R_FEED + 2], row[R_FEED + 3]
+    yxr, yxi, yyr, yyi = row[R_FEED + 4], row[R_FEED + 5], row[R_FEED + 6], row[R_FEED + 7]
+    exr, exi = exr + xxr * uxc - xxi * uxs + xyr * uyc - xyi * uys, exi + xxr * uxs + xxi * uxc + xyr * uys + xyi * uyc
+    eyr, eyi = eyr + yxr * uxc - yxi * uxs + yyr * uyc - yyi * uys, eyi + yxr * uxs + yxi * uxc + yyr * uys + yyi * uyc
     return exr, exi, eyr, eyi
 
 

@@ -43,6 +43,6 @@ N_EFFECT = 77
 M_TIME, M_LAG, M_SLOW, M_MOTION, M_MODE, M_OUT_LAG, M_OUT_SLOW, M_LAST, M_SKEW, M_EARLY, M_SOON = 0, 1, 5, 9, 13, 17, 21, 25, 27, 29, 33
 N_MEMORY = 37
 
-# per row: feedthrough added to x and to y, angular frequency of the spurious mode [rad/s]
-R_FEED_X, R_FEED_Y, R_MODE_OMEGA = 0, 1, 2
-N_ROW = 3
+# per row: feedthrough added, re, im of xx, xy, yx, yy; angular frequency of the spurious mode [rad/s]
+R_FEED, R_MODE_OMEGA = 0, 8
+N_ROW = 9

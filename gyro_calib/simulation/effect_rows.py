@@ -42,15 +42,15 @@ class SlowTerms:
         Added to ``p' = (i stiffness - damping) p``: frequency and its split [rad/s], decay rate, its anisotropy and rotation [1/s].
     drive, pick : ndarray, shape (rows, 2), complex
         Factors of the drives and of the pick-offs.
-    feed : ndarray, shape (rows, 2)
-        Feedthrough of each axis' own drive, added.
+    feed : ndarray, shape (rows, 2, 2), complex
+        Feedthrough that is added, to a row's axis of a column's drive.
     """
 
     stiffness: FloatArray
     damping: FloatArray
     drive: ComplexArray
     pick: ComplexArray
-    feed: FloatArray
+    feed: ComplexArray
 
 
 class SlowEffects:
@@ -81,7 +81,7 @@ class SlowEffects:
             self._factor("drive", t, rise),
             self._factor("pickoff", t, rise),
             # none where drives and readings do not meet, as Device.feedthrough_matrix
-            self._pair("thermal_feedthrough", "e_x", "e_y", rise) * float(not (d.multiplexing.enabled or d.drive.at_twice_frequency)),
+            self._feed(t, rise) * float(not (d.multiplexing.enabled or d.drive.at_twice_frequency)),
         )
 
     def _size(self, effect: str, parameter: str) -> float:
@@ -132,6 +132,14 @@ class SlowEffects:
         phase = self._pair(f"thermal_{chain}_phase", "g_x", "g_y", rise) + self._pair(f"{chain}_phase_drift", "g_x", "g_y", t)
         return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
 
+    def _feed(self, t: FloatArray, rise: FloatArray) -> ComplexArray:
+        own = self._pair("thermal_feedthrough", "e_x", "e_y", rise) + self._drifting_feed("feedthrough_drift", t)
+        across = self._drifting_feed("cross_feedthrough_drift", t)
+        return own[:, :, None] * np.eye(2) + across[:, :, None] * np.eye(2)[::-1]
+
+    def _drifting_feed(self, effect: str, t: FloatArray) -> ComplexArray:
+        return self._pair(effect, "e_xc", "e_yc", t) + 1j * self._pair(effect, "e_xs", "e_ys", t)
+
     def _behind(self, effect: str, rise: FloatArray) -> FloatArray:
         """By how much the temperature is ahead of itself through an effect's low-pass; it starts where the thermometer does."""
         if self._size(effect, "tau") <= 0.0:
@@ -181,7 +189,7 @@ def flow_with(terms: SlowTerms, A: ComplexArray, G: ComplexArray, pick: ComplexA
 def kernel_rows(terms: SlowTerms, mode_omega_rad_s: FloatArray) -> FloatArray:
     """What the effect kernels take per row, shape (rows, N_ROW)."""
     rows = np.empty((mode_omega_rad_s.size, at.N_ROW))
-    rows[:, at.R_FEED_X], rows[:, at.R_FEED_Y] = terms.feed[:, 0], terms.feed[:, 1]
+    rows[:, at.R_FEED : at.R_MODE_OMEGA] = _flat(terms.feed)
     rows[:, at.R_MODE_OMEGA] = mode_omega_rad_s
     return rows
 

@@ -48,7 +48,7 @@ class SteadyEffects:
     def flow(self, flow: SlowFlow, omega_rad_s: float) -> SlowFlow:
         """A, G and E with what temperature, time, rotation and a spurious mode make of them."""
         A, G = flow_with(self._terms, flow.A[None], flow.G[None], self._device.pickoff_matrix())
-        E = flow.E + np.diag(self._terms.feed[0])
+        E = flow.E + self._terms.feed[0]
         mode = self._device.effects.get("spurious_mode")
         if mode is not None:
             above = 2.0 * math.pi * (self._device.resonator.frequency_at(self._device.environment.temperature_degc) + mode["separation_hz"])

@@ -34,6 +34,8 @@ LIKE = 5.0
 #: much), and what feeds through while nothing is read
 _NOT_MULTIPLEXED = (
     "thermal_feedthrough",
+    "feedthrough_drift",
+    "cross_feedthrough_drift",
     "drive_nonlinearity",
     "drive_amplitude_phase",
     "drive_cross_nonlinearity",

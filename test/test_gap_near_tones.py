@@ -1,0 +1,106 @@
+"""A tone within the signal: found from what the slow flow leaves, told with its frequency and volts, and no swing and no noise is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from flow_samples import CARRIER_HZ, ROW_S, quiet_flows
+from numpy.typing import NDArray
+
+from gyro_calib.gap.flow_left import FlowLeft
+from gyro_calib.gap.near_tones import find_near_tone
+from gyro_calib.gap.parts import Linear
+
+ROWS, COUNT = 900, 12
+LINEAR = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), dtype=complex), 0.8, -2.5)
+#: force of a tone on each axis, in volts of the drives
+DRIVE_V = np.array([4e-7, 2e-7])
+Azimuth = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
+
+
+def still(k: int, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of waves along x, along y and between."""
+    return np.full(t.size, (0.0, 0.5 * np.pi, 0.7)[k % 3])
+
+
+def turning(k: int, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(0.4 * k + (-1.0) ** k * 2.0 * np.pi * 0.05 * t)
+
+
+def flows(
+    rng: np.random.Generator, azimuth: Azimuth = still, away_hz: float = 0.0, drive_v: NDArray[np.float64] = DRIVE_V
+) -> list[FlowLeft]:
+    """Records of two amplitudes whose references part by some millihertz, with a tone that keeps its frequency and knows no record."""
+    found = []
+    for k, flow in enumerate(quiet_flows(rng, [3.0 + 17.0 * k for k in range(COUNT)], ROWS)):
+        t = ROW_S * np.arange(ROWS)
+        psi, amplitude_v, moved_hz = azimuth(k, t), 1.0 + 0.4 * (k % 2), 5e-3 * rng.standard_normal()
+        force = LINEAR.G @ drive_v if away_hz else np.zeros(2)
+        tone = np.exp(1j * (2.0 * np.pi * (away_hz - moved_hz) * t + rng.uniform(0.0, 6.28))) / amplitude_v
+        along = (np.cos(psi) * force[0] + np.sin(psi) * force[1]) * tone
+        across = (np.cos(psi) * force[1] - np.sin(psi) * force[0]) * tone
+        parts = {"amplitude": along.real, "frequency": along.imag, "precession": across.real, "quadrature": across.imag}
+        turned_hz = float(abs(psi[-1] - psi[0])) / (2.0 * np.pi * ROWS * ROW_S)
+        found.append(
+            replace(
+                flow,
+                kind=("ftr", amplitude_v, False),
+                carrier_hz=CARRIER_HZ + moved_hz,
+                turning_hz=turned_hz,
+                azimuth_rad=psi,
+                rate={name: x + parts[name] for name, x in flow.rate.items()},
+            )
+        )
+    return found
+
+
+@pytest.mark.parametrize("azimuth", [still, turning])
+@pytest.mark.parametrize("away_hz", [-1.19, 2.53])
+def test_a_tone_is_told_with_its_frequency_and_its_volts(azimuth: Azimuth, away_hz: float) -> None:
+    """One 2.53 Hz below a ring's carrier was none: the spectra of its pick-offs hear from twelve bins of a record on."""
+    tone = find_near_tone(flows(np.random.default_rng(1), azimuth, away_hz), LINEAR)
+    assert tone is not None
+    assert tone.name == "external_tone"
+    assert abs(tone.frequency_hz - CARRIER_HZ - away_hz) < 4.0 * tone.frequency_sd_hz < 0.1
+    assert np.all(np.abs(tone.volts - DRIVE_V) < 4.0 * tone.volts_sd)
+    assert np.all(tone.volts_sd < 0.2 * DRIVE_V.max())
+
+
+def test_volts_and_frequency_keep_to_their_sd() -> None:
+    errors = []
+    for seed in range(24):
+        tone = find_near_tone(flows(np.random.default_rng(seed), still, 2.53), LINEAR)
+        assert tone is not None
+        errors.append([*(tone.volts - DRIVE_V) / tone.volts_sd, (tone.frequency_hz - CARRIER_HZ - 2.53) / tone.frequency_sd_hz])
+    assert np.all(np.abs(np.mean(errors, axis=0)) < 0.8)
+    assert np.all((np.std(errors, axis=0) > 0.4) & (np.std(errors, axis=0) < 1.7))
+
+
+@pytest.mark.parametrize("azimuth", [still, turning])
+def test_noise_alone_is_none(azimuth: Azimuth) -> None:
+    for seed in range(12):
+        assert find_near_tone(flows(np.random.default_rng(seed), azimuth), LINEAR) is None
+
+
+@pytest.mark.parametrize("channel", ["amplitude", "frequency", "precession", "quadrature"])
+def test_what_goes_to_and_fro_is_none(channel: str) -> None:
+    """A gain, a base or a reference that swings stands to both sides of the carrier."""
+    swinging = []
+    for k, flow in enumerate(flows(np.random.default_rng(2))):
+        more = 1e-4 * np.cos(2.0 * np.pi * 2.53 * ROW_S * np.arange(ROWS) + k)
+        swinging.append(replace(flow, rate={**flow.rate, channel: flow.rate[channel] + more}))
+    assert find_near_tone(swinging, LINEAR) is None
+
+
+def test_one_disturbed_record_is_none() -> None:
+    quiet = flows(np.random.default_rng(3))
+    loud = flows(np.random.default_rng(3), still, 2.53, 100.0 * DRIVE_V)
+    assert find_near_tone([*quiet[:4], loud[4], *quiet[5:]], LINEAR) is None
+
+
+def test_few_records_tell_nothing() -> None:
+    assert find_near_tone(flows(np.random.default_rng(4), still, 2.53)[:3], LINEAR) is None
+    assert find_near_tone([], LINEAR) is None
