@@ -230,6 +230,7 @@ def behind(r: Rows) -> ComplexArray:
 
 
 LATE: dict[str, tuple[dict[str, float], Form]] = {
+    "thermal_frequency_lag": ({"k": 0.2}, lambda r: 1j * r.size["k"] * behind(r) * r.p),
     "thermal_damping_lag": ({"c": 0.2}, lambda r: -r.size["c"] * behind(r) * r.p),
     "thermal_damping_anisotropy_lag": ({"c_c": 0.2, "c_s": 0.3}, lambda r: -behind(r) * (r.p @ split(r, "c_c", "c_s"))),
     "thermal_bias_lag": ({"b": 0.2}, lambda r: -0.8 * r.size["b"] * behind(r) * (r.p @ TURN.T)),

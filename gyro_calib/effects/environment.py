@@ -65,6 +65,13 @@ THERMAL = (
         ("thermal_frequency_curvature", "frequency_ageing"),
     ),
     Effect(
+        "thermal_frequency_lag", "A part of the frequency follows the temperature late", "environment", (27, 30),
+        (signed("k", "rad/s/K", 0.01, 10.0, "frequency per kelvin of the lag"), _LAG),
+        ("temperature", "time"), BOTH,
+        f"p' += i k {_BEHIND} p",
+        ("thermal_lag", "thermal_frequency_curvature", "thermal_split_lag"),
+    ),
+    Effect(
         "thermal_bias", "Bias that follows the temperature", "environment", (12, 38),
         (signed("b", "rad/s/K", 1e-5, 1.0, "apparent rate per kelvin"),),
         ("temperature",), BOTH,

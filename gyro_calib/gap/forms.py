@@ -369,6 +369,7 @@ FORMS: dict[str, Form] = {
     "thermal_drive_gain_curvature": _scaled_drive("drive", "g", _warm_squared, 1.0),
     "thermal_pickoff_gain_curvature": _read_by_axis("g", lambda s, v: _warm_squared(s)[:, None] * v),
     "thermal_pickoff_phase": Form(turned_reading),
+    "thermal_frequency_lag": Form(lambda s, d, g: [Part("k", "flow", 1j * behind(s, g["tau"]) * motion(s, d))], _WARM_UP),
     "thermal_damping_lag": Form(lambda s, d, g: [Part("c", "flow", -behind(s, g["tau"]) * velocity(s, d))], _WARM_UP),
     "thermal_damping_anisotropy_lag": Form(lambda s, d, g: _anisotropy("c", behind(s, g["tau"]) * velocity(s, d), -1.0), _WARM_UP),
     "thermal_bias_lag": Form(lambda s, d, g: _as_rate("b", s, d, behind(s, g["tau"])[:, 0].real), _WARM_UP),

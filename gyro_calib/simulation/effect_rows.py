@@ -21,7 +21,7 @@ SLOW_EFFECTS = frozenset(
     (
         "thermal_damping", "thermal_damping_curvature", "thermal_damping_anisotropy",
         "thermal_frequency_curvature", "thermal_split", "thermal_split_curvature", "thermal_lag",
-        "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
+        "thermal_frequency_lag", "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
         "thermal_drive_gain_lag", "thermal_pickoff_gain_lag", "thermal_bias", "thermal_bias_lag", "bias_drift",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
         "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
@@ -93,6 +93,7 @@ class SlowEffects:
     def _stiffness(self, t: FloatArray, rise: FloatArray, rate: FloatArray) -> FloatArray:
         same = self._size("thermal_frequency_curvature", "k") * rise**2
         same = same + self._size("frequency_ageing", "k") * t + self._size("centrifugal_stiffness", "k") * rate**2
+        same = same + self._size("thermal_frequency_lag", "k") * self._behind("thermal_frequency_lag", rise)
         split = self._pair("thermal_split", "k_c", "k_s", rise) + self._pair("split_drift", "k_c", "k_s", t)
         split = split + self._pair("thermal_split_lag", "k_c", "k_s", self._behind("thermal_split_lag", rise))
         split = split + self._pair("thermal_split_curvature", "k_c", "k_s", rise**2)

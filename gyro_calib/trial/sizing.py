@@ -36,6 +36,7 @@ _WITH_TIMES = (
     "drive_memory",
     "pickoff_memory",
     "charge_accumulation",
+    "thermal_frequency_lag",
     "thermal_damping_lag",
     "thermal_damping_anisotropy_lag",
     "thermal_split_lag",
