@@ -56,6 +56,7 @@ def plain() -> Device:
 STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "duffing": ({"k": 0.5}, lambda r: 1j * r.size["k"] * isotropic(r.p)),
     "duffing_axes": ({"k_x": 0.5, "k_y": -0.3}, lambda r: 1j * by_axis(r, "k_x", "k_y") * cubes(r.p)),
+    "circulatory_stiffness": ({"k": 0.3}, lambda r: 1j * r.size["k"] * (r.p @ TURN.T)),
     "cubic_cross_stiffness_axes": ({"k_x": 0.5, "k_y": -0.3}, coupled),
     "cubic_cross_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * cubes(r.p)[:, ::-1]),
     "nonlinear_damping": ({"c": 0.5}, lambda r: -r.size["c"] * isotropic(r.p)),
@@ -241,8 +242,7 @@ LATE: dict[str, tuple[dict[str, float], Form]] = {
 
 
 def surroundings(name: str) -> dict[str, float]:
-    needs = EFFECTS[name].needs
-    return {"rise_k": WARM_K if "temperature" in needs else 0.0, "rate": RATE if "rate" in needs else 0.0}
+    return {of: size * (need in EFFECTS[name].needs) for of, need, size in (("rise_k", "temperature", WARM_K), ("rate", "rate", RATE))}
 
 
 @compiled_only

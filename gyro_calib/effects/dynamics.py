@@ -37,6 +37,13 @@ DYNAMICS = (
         ("cubic_cross_stiffness", "duffing_axes"),
     ),
     Effect(
+        "circulatory_stiffness", "Cross stiffness that is not symmetric (non-reciprocal)", "dynamics", (3,),
+        (signed("k", "rad/s", 0.02, 50.0, "antisymmetric part of the cross stiffness, as a rate of the envelopes"),),
+        ("rate",), BOTH,
+        "p' += i k J p: a part of A, told from a symmetric one through unequal pick-offs by what a rate does to these",
+        ("pickoff_phase_drift",),
+    ),
+    Effect(
         "nonlinear_damping", "Damping that grows with the square of the velocity", "dynamics", (9,),
         (signed("c", "1/s/V^2", 0.01, 5.0, "decay rate per amplitude squared"),),
         ("amplitudes",), BOTH,

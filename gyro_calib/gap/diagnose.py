@@ -34,6 +34,7 @@ from .periods import find_period
 from .preflight import check_campaign, usable
 from .probabilities import none_or_unknown
 from .rate_table import said_late
+from .reciprocity import RECIPROCITY, reciprocity
 from .screen import Candidate, Screened
 from .select import Selection, select_effects
 from .spectral_effects import SAMPLED, SPECTRAL, SpectralEffects, spectral_effects
@@ -103,7 +104,10 @@ def diagnose(
     lines = standings(model, selection, left_out)
     effects = tuple(_found(model, selection, k, rich, left_out) for k in range(len(selection.effects)))
     loops = loop_effects(recordings, campaign.factory, left_out)
-    effects, lines = _loudest_first(effects + beside.effects), _in_order(lines + beside.standings + loops.standings)
+    circulatory, circulatory_line = reciprocity(
+        model.evidence, rich, model.linear.angular_gain, [e.registry_name for e in effects], left_out
+    )
+    effects, lines = _loudest_first(effects + beside.effects), _in_order(lines + beside.standings + loops.standings + circulatory_line)
     unknown = (
         _unknown(selection.stranger)
         or (None if effects else beside.unknown)
@@ -115,11 +119,11 @@ def diagnose(
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
     # of the slow flow, and of what no name fits in it, what the loops hold says nothing
-    effects += loops.effects
+    effects += loops.effects + circulatory
     verdict = _verdict(effects, unknown, lines)
     following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
-    none, something = none_or_unknown(selection, (*beside.effects, *loops.effects), unknown)
+    none, something = none_or_unknown(selection, (*beside.effects, *loops.effects, *circulatory), unknown)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
@@ -343,9 +347,11 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         words.append(f"{e.name} ({size}), or {alike}")
     if all(e.name in SPECTRAL for e in effects):
         return f"Present: {'; and '.join(words)}. It stands in the spectra and leaves the means of the slow flow alone."
-    if all(e.name in (*SPECTRAL, *LOOP_EFFECTS) for e in effects):
+    if all(e.name in (*SPECTRAL, RECIPROCITY) for e in effects):
+        return f"Present: {'; and '.join(words)}. It is in the constants of the linear device, which leave no gap, or in the spectra."
+    if all(e.name in (*SPECTRAL, *LOOP_EFFECTS, RECIPROCITY) for e in effects):
         return f"Present: {'; and '.join(words)}. It is in what the loops ask for, and leaves the slow flow alone."
-    if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS) for e in effects):
+    if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS, RECIPROCITY) for e in effects):
         return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
     present = f"Present: {'; and '.join(words)}."
     if shrunk.told_sd > _UNKNOWN_SHARE:

@@ -21,14 +21,15 @@ FloatArray = NDArray[np.float64]
 _DAMPING, _DAMPING_X, _DAMPING_Y, _DRAG, _FRICTION = 0, 1, 2, 3, 4
 _FORCE, _CUBIC_X, _CUBIC_Y, _PHASE_X, _PHASE_Y, _SAG, _CROSS, _CLIP, _DEAD = 7, 11, 12, 13, 14, 15, 16, 17, 18
 _READ_X, _READ_Y, _TURN_X, _TURN_Y, _READ_CROSS, _STRAY, _READ_CLIP = 19, 20, 21, 22, 23, 24, 28
-_FRICTION_X, _FRICTION_Y, _PUMP_X, _PUMP_Y = 29, 30, 31, 33
-_COUNT = 35
+_FRICTION_X, _FRICTION_Y, _PUMP_X, _PUMP_Y, _CURL = 29, 30, 31, 33, 35
+_COUNT = 36
 _PLACES: dict[str, dict[str, int]] = {
     "nonlinear_damping": {"c": _DAMPING},
     "nonlinear_damping_axes": {"c_x": _DAMPING_X, "c_y": _DAMPING_Y},
     "quadratic_damping": {"c": _DRAG},
     "coulomb_friction": {"c": _FRICTION},
     "coulomb_friction_axes": {"c_x": _FRICTION_X, "c_y": _FRICTION_Y},
+    "circulatory_stiffness": {"k": _CURL},
     "parametric_pump": {},
     "parametric_pump_axes": {},
     "constant_force": {"f_xc": _FORCE, "f_xs": _FORCE + 1, "f_yc": _FORCE + 2, "f_ys": _FORCE + 3},
@@ -73,7 +74,7 @@ def _clipped(amplitude, level):  # type: ignore[no-untyped-def]
 
 @kernel
 def effect_rate(px, py, c):  # type: ignore[no-untyped-def]
-    """What damping, friction and pump add to ``p'`` [V/s] at displacement envelopes px, py (complex, V).
+    """What damping, friction, pump and a circulatory stiffness add to ``p'`` [V/s] at displacement envelopes px, py (complex, V).
 
     A wave ``p = e^{i delta} (a n - i q n_perp)`` is damped by a force ``|v|^k v`` at a rate for a and 1/(k + 1) times it for a small q
     (k = 2: 1/3, k = 1: 1/2); dry friction (k = -1) damps q ``ln(4 a/q) - 1`` times as much. The part with a is half of
@@ -93,8 +94,8 @@ def effect_rate(px, py, c):  # type: ignore[no-untyped-def]
     pump_x, pump_y = complex(c[_PUMP_X], c[_PUMP_X + 1]) - curled, complex(c[_PUMP_Y], c[_PUMP_Y + 1]) - curled
     dry_x = c[_FRICTION_X] / math.sqrt(xx) if xx > 0.0 else 0.0
     dry_y = c[_FRICTION_Y] / math.sqrt(yy) if yy > 0.0 else 0.0
-    rx = pump_x * px.conjugate() - (straight + c[_DAMPING_X] * xx + dry_x) * px
-    return rx, pump_y * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py
+    rx = pump_x * px.conjugate() - (straight + c[_DAMPING_X] * xx + dry_x) * px - complex(0.0, c[_CURL]) * py
+    return rx, pump_y * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py + complex(0.0, c[_CURL]) * px
 
 
 @kernel

@@ -12,6 +12,7 @@ from ..jit import kernel
 from .effect_forces import bends_drive, drive_stage, opposes_motion, velocity_force
 from .effect_layout import (
     E_CONSTANT,
+    E_CURL,
     E_GAP_X,
     E_GAP_Y,
     E_HOLD,
@@ -148,7 +149,7 @@ def effect_samples(  # type: ignore[no-untyped-def]
     mode_xx, mode_xy, mode_yx, mode_yy = effect[E_MODE_XX], effect[E_MODE_XY], effect[E_MODE_YX], effect[E_MODE_YY]
     read_x, read_y, read_cross = effect[E_READ_X], effect[E_READ_Y], effect[E_READ_CROSS]
     soft_x, soft_y, gap_x, gap_y = effect[E_SOFT_X], effect[E_SOFT_Y], effect[E_GAP_X], effect[E_GAP_Y]
-    mean_x, mean_y = effect[E_MEAN_X], effect[E_MEAN_Y]
+    mean_x, mean_y, curl = effect[E_MEAN_X], effect[E_MEAN_Y], effect[E_CURL]
     # what is held over a sample stands for the phase in its middle, the motion that it meets is that of its start
     half_c, half_s = math.cos(0.5 * omega * dt), math.sin(0.5 * omega * dt)
     pump_xc, pump_xs, pump_yc, pump_ys = pump
@@ -202,8 +203,8 @@ def effect_samples(  # type: ignore[no-untyped-def]
         forcex += (b0 * tone_x + b2 * tone_y) * tone_c - (b1 * tone_x + b3 * tone_y) * tone_s
         forcey += (b4 * tone_x + b6 * tone_y) * tone_c - (b5 * tone_x + b7 * tone_y) * tone_s
         twice_c, twice_s = c * c - s * s, 2.0 * s * c
-        pushx = -(pump_xc * twice_c + pump_xs * twice_s + soft_x * metx * metx + mean_x * powerx) * x
-        pushy = -(pump_yc * twice_c + pump_ys * twice_s + soft_y * mety * mety + mean_y * powery) * y
+        pushx = -(pump_xc * twice_c + pump_xs * twice_s + soft_x * metx * metx + mean_x * powerx) * x + curl * y
+        pushy = -(pump_yc * twice_c + pump_ys * twice_s + soft_y * mety * mety + mean_y * powery) * y - curl * x
         if curved:
             curlx, curly = instant_force(x, y, vx * w, vy * w, nonlinear)
             pushx, pushy = pushx - curlx, pushy - curly

@@ -35,7 +35,9 @@ E_PUMP, E_DRIVEN_PUMP = 63, 67
 E_SPUR, E_SPUR_OMEGA = 71, 72
 # gain of the drives by the squared motion of x and of y [1/V^2]
 E_GAP_X, E_GAP_Y = 73, 74
-N_EFFECT = 77
+# circulatory stiffness [1/s^2]
+E_CURL = 77
+N_EFFECT = 78
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed

@@ -170,6 +170,8 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     # a stiffness kappa v^2 of both amplitudes gives p' = (i kappa/2w)(|u|^2 p/2 + u^2 p*/4)
     effect[at.E_SOFT_X], effect[at.E_SOFT_Y] = (8.0 * w * size("drive_stiffness", name) for name in ("k_x", "k_y"))
     effect[at.E_MEAN_X], effect[at.E_MEAN_Y] = (2.0 * w * size("drive_stiffness_mean", name) for name in ("k_x", "k_y"))
+    # a force -2 w k J z gives p' = i k J p
+    effect[at.E_CURL] = 2.0 * w * size("circulatory_stiffness", "k")
     effect[at.E_GAP_X], effect[at.E_GAP_Y] = (size("drive_gap", name) for name in ("d_x", "d_y"))
     effect[at.E_RELAX] = 2.0 * w * size("relaxation", "c")
     effect[at.E_RELAX_KEEP] = math.exp(-effect[at.E_PERIOD] / size("relaxation", "tau", 1.0))
