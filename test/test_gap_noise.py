@@ -33,7 +33,7 @@ from gyro_calib.recording.applied_rate import is_turned
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
-from gyro_calib.trial.sizing import size_effect
+from gyro_calib.trial.sizing import imitators, size_effect
 from gyro_calib.trial.units import draw_trial_unit
 
 #: by how much a gain scatters from recording to recording
@@ -201,6 +201,14 @@ def test_what_changes_the_damping_can_be_drawn() -> None:
     """Its time constant is no damping."""
     for name in ("thermal_damping_curvature", "thermal_damping_lag", "thermal_damping_anisotropy", "thermal_damping_anisotropy_lag"):
         assert size_effect(healthy("ring"), name, 10.0, np.random.default_rng(1)) is not None, name
+
+
+def test_a_charge_of_hours_is_a_drift() -> None:
+    """Where the registry lacks the drift a diagnosis finds the charge: of 40 the grid's longest time leaves 7."""
+    model = healthy("ring")
+    sized = size_effect(model, "split_drift", 40.0, np.random.default_rng(1))
+    assert sized is not None
+    assert imitators(model, sized, ("charge_accumulation",))["charge_accumulation"] < 1.0
 
 
 def test_an_effect_may_count_between_two_settings_alone() -> None:

@@ -19,6 +19,7 @@ from ..gap.columns import form_columns
 from ..gap.forms import FORMS
 from ..gap.model import CampaignModel
 from ..gap.parts import REST
+from ..gap.screen import Candidate
 from .labels import reported_name
 
 __all__ = ["Sized", "imitators", "size_effect"]
@@ -47,6 +48,8 @@ _WITH_TIMES = (
 #: parameters that a form has as a setting are drawn about their typical value, by this factor at most
 _SETTING_SPREAD = 2.5
 _LEVELS = 24
+#: a time far beyond that of the campaign, over the longest of its form's grid
+_FAR_BEYOND = 30.0
 #: most that a drive may be dead of its own amplitude
 _MOST_DEAD = 0.4
 
@@ -178,8 +181,17 @@ def imitators(model: CampaignModel, sized: Sized, names: Sequence[str] = ()) -> 
     for name, candidates in model.candidates.items():
         if name == reported_name(sized.name) or (names and name not in names):
             continue
-        left[name] = min(_behind(model, sized.signal, c.columns) for c in candidates)
+        left[name] = min(_behind(model, sized.signal, c.columns) for c in (*candidates, *_longer(model, candidates)))
     return dict(sorted(left.items(), key=lambda item: item[1]))
+
+
+def _longer(model: CampaignModel, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The candidate of the longest time, of a time far beyond it: a diagnosis may find one there, and a charge of hours is a drift."""
+    timed = [c for c in candidates if "tau" in c.setting]
+    if not timed:
+        return []
+    longest = max(timed, key=lambda c: c.setting["tau"])
+    return [model.candidate(longest.name, {**longest.setting, "tau": _FAR_BEYOND * longest.setting["tau"]})]
 
 
 def _behind(model: CampaignModel, signal: FloatArray, columns: Sequence[object]) -> float:
