@@ -119,7 +119,7 @@ def test_what_rebalance_holds_is_found() -> None:
 
 
 def test_a_control_of_three_periods_is_late_only_where_the_factory_says_less() -> None:
-    """Overlapping windows and a pole of the amplifier: all hemispheres of a plant by other hands had 2.4 to 2.9."""
+    """Overlapping windows and a pole of the amplifier: all hemispheres of a plant by other hands had 2.4 to 3.3."""
     plain = sphere()
     rate = plain.electronics.control_rate_hz
     device = sphere(angle_latency={"tau": 3.0 / rate - plain.loop_latency_s})

@@ -38,7 +38,7 @@ _SETTLED = 1e-6
 #: share of the converter's range from which on a drive is at its end, and no loop can hold what it holds
 _FULL = 0.98
 #: how well the factory knows its latency; what control has where nothing is said, in its periods: from half (a drive at once) to four, of
-#: overlapping windows, a period of computing and a pole of the amplifier (six plants came to 0.9 to 2.9)
+#: overlapping windows, a period of computing and a pole of the amplifier (six plants came to 0.9 to 3.3)
 _STATED, _MEAN_PERIODS, _SD_PERIODS, _MOST_PERIODS = 0.1, 2.25, 1.0, 4.0
 
 
