@@ -40,7 +40,7 @@ _OF_SIDE_BAND, _OF_AZIMUTH, _LEAST_LEFT, _SKIRT_BINS = (1, 2, 3, 4, 5), (1, 2, 3
 #: share of the rows' rate within which their filter leaves a swing; share of the largest below which two of these are one
 _PASSED, _ALIKE = 0.45, 1e-10
 #: frequencies at which a record's transform is formed, in each of its bins: between them it is smooth; frequencies about the best one
-_FINE, _FINER = 16, 17
+_FINE, _FINER, _FINER_TIMES = 16, 17, 2
 
 
 @dataclass(frozen=True)
@@ -151,10 +151,14 @@ def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: Flo
     best = int(np.argmax(evidence))
     if evidence[best] - searched <= 0.0:
         return None
-    # beside a frequency that is a part of a step away much is left of it
-    fine = grid[best] + np.linspace(-1.0, 1.0, _FINER) * (grid[1] - grid[0])
-    heard = _heard(kinds, records, fine[fine > 0.0], channel)
-    best = int(np.argmax(_evidence(heard)))
+    # beside a frequency that is a part of a step away much is left of it, and its sd may be a tenth of a step
+    fine, middle, step = grid, float(grid[best]), float(grid[1] - grid[0])
+    for _ in range(_FINER_TIMES):
+        fine = middle + np.linspace(-1.0, 1.0, _FINER) * step
+        fine = fine[fine > 0.0]
+        heard = _heard(kinds, records, fine, channel)
+        best = int(np.argmax(_evidence(heard)))
+        middle, step = float(fine[best]), float(fine[1] - fine[0])
     told = heard.a[:, best] > 0.0
     if int(told.sum()) < _FEWEST:
         return None
@@ -172,7 +176,7 @@ def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: Flo
     to_zero = 2.0 * math.pi * middle_s * math.hypot(frequency_sd_hz, 0.5 * float(fine[1] - fine[0]))
     return Swing(
         channel,
-        float(fine[fine > 0.0][best]),
+        float(fine[best]),
         beyond,
         int(told.sum()),
         size,
