@@ -69,7 +69,10 @@ def test_the_raw_rates_of_a_triad_follow_a_robot_simulator(ros: RosSession, spaw
     scale = {}
     for axis, (size, _) in MOTION.items():
         found = rates_of(raw[axis], lambda m: m.twist.angular.z)
-        np.testing.assert_allclose(np.diff(found[:, 0]), 0.01, atol=1e-6)
+        steps = np.diff(found[:, 0]) / 0.01
+        # sensor data are best effort: on a busy machine some are lost on their way, none is at another time
+        np.testing.assert_allclose(steps, np.maximum(np.rint(steps), 1.0), atol=1e-4)
+        assert np.mean(steps < 1.5) > 0.9
         found = found[found[:, 0] > found[0, 0] + 2.0]  # loops settled
         delays = np.arange(-0.05, 0.1, 0.005)
         left = [fit(found, axis, delay)[2] for delay in delays]
