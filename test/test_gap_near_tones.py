@@ -104,3 +104,5 @@ def test_one_disturbed_record_is_none() -> None:
 def test_few_records_tell_nothing() -> None:
     assert find_near_tone(flows(np.random.default_rng(4), still, 2.53)[:3], LINEAR) is None
     assert find_near_tone([], LINEAR) is None
+    nothing_held = [replace(flow, kind=("ftr", 0.0, False)) for flow in flows(np.random.default_rng(4), still, 2.53)]
+    assert find_near_tone(nothing_held, LINEAR) is None
