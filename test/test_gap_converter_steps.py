@@ -68,7 +68,7 @@ def test_coarse_steps_are_named_with_their_size() -> None:
     assert found.effects[0].parameters["lsb"].value == pytest.approx(LSB_V, rel=1e-6)
     # what the slow flow names beside them is not told from what rounding does
     assert found.products > 100.0
-    assert "leaves the slow flow alone" not in _summary("effects", found.effects, None, cast(Shrinkage, None))
+    assert "leaves the means of the slow flow alone" not in _summary("effects", found.effects, None, cast(Shrinkage, None))
     assert spectral_effects(recorded(0.3 * LSB_V, LSB_V), LINEAR, ["pickoff_quantisation"]).effects == ()
 
 

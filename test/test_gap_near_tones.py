@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -9,10 +10,15 @@ import numpy as np
 import pytest
 from flow_samples import CARRIER_HZ, ROW_S, quiet_flows
 from numpy.typing import NDArray
+from table_samples import looked_at
 
-from gyro_calib.gap.flow_left import FlowLeft
+from gyro_calib.device import draw_unit, load_device
+from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.gap.flow_left import FlowLeft, flows_left
 from gyro_calib.gap.near_tones import find_near_tone
 from gyro_calib.gap.parts import Linear
+from gyro_calib.gap.steady_swings import find_steady_swing
+from gyro_calib.simulation import GyroSimulator
 
 ROWS, COUNT = 900, 12
 LINEAR = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), dtype=complex), 0.8, -2.5)
@@ -106,3 +112,25 @@ def test_few_records_tell_nothing() -> None:
     assert find_near_tone([], LINEAR) is None
     nothing_held = [replace(flow, kind=("ftr", 0.0, False)) for flow in flows(np.random.default_rng(4), still, 2.53)]
     assert find_near_tone(nothing_held, LINEAR) is None
+
+
+def test_a_tone_and_a_sway_of_the_carrier_have_their_frequencies_sizes_and_the_device_s_clock() -> None:
+    """The first rows come seconds after the clock's zero: a campaign that counted from these had a sway's phase wrong."""
+    device = draw_unit(load_device("ring_15k"), 5)
+    tone_hz = device.resonator.frequency_hz + 3.1
+    sway = {"frequency_hz": 1.7, "r": 5e-4, "phase_rad": 0.7}
+    effects = {"base_sway": sway, "external_tone": {"frequency_hz": tone_hz, "a_x": 3e-5, "a_y": 2e-5, "phase_rad": 0.4}}
+    simulator = GyroSimulator(replace(device, effects=effects), rng=np.random.default_rng(3), fidelity="carrier")
+    plan = gap_ftr_plan(device.factory(), quality="quick")
+    model = looked_at(run_plan(SimulatedInstrument(simulator), plan))
+    flows_there = flows_left(model.evidence, model.linear)
+    tone, swing = find_near_tone(flows_there, model.linear), find_steady_swing(flows_there)
+    assert tone is not None
+    assert abs(tone.frequency_hz - tone_hz) < 4.0 * tone.frequency_sd_hz
+    assert np.all(np.abs(tone.volts - (3e-5, 2e-5)) < 4.0 * tone.volts_sd + 0.02 * 3e-5)
+    assert swing is not None
+    assert swing.is_a_rate
+    assert abs(swing.frequency_hz - 1.7) < 4.0 * swing.frequency_sd_hz
+    assert abs(swing.size / model.linear.angular_gain - 5e-4) < 4.0 * swing.size_sd / model.linear.angular_gain
+    late = math.remainder(swing.phase_rad + math.pi - 0.7, 2.0 * math.pi)
+    assert abs(late) < 4.0 * swing.phase_sd_rad < 1.0

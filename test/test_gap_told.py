@@ -142,6 +142,20 @@ def test_a_share_that_nobody_knows_is_not_told(sd: float, words: str) -> None:
     assert said.startswith("Present: drive_delay (tau_x = 4e-05")
 
 
+def test_what_no_residual_shows_is_said_to_stand_where_it_does() -> None:
+    def effect(name: str) -> SimpleNamespace:
+        return SimpleNamespace(name=name, group=(name,), parameters={"k": Quantity(0.1, 0.01, "rad/s")})
+
+    def said(*names: str) -> str:
+        return _summary("effects", tuple(map(effect, names)), None, SimpleNamespace(told=0.5, told_sd=0.1))  # type: ignore[arg-type]
+
+    assert "It stands in the spectra, and leaves the means" in said("base_sway")
+    assert "It stands in what the loops ask for and in the constants of the linear device, and" in said(
+        "loop_error", "circulatory_stiffness"
+    )
+    assert "closes 50.0 %" in said("duffing", "base_sway")
+
+
 @pytest.mark.parametrize(
     ("value", "sd", "text"),
     [(7.11e-6, 0.031, "0 ± 0.031 V"), (-7.11e-6, 0.031, "0 ± 0.031 V"), (3.6512e-5, 4e-7, "3.651e-05 ± 4e-07 V"), (1.5, 0.0, "1.5 ± 0 V")],

@@ -41,7 +41,7 @@ DYNAMICS = (
         (signed("k", "rad/s", 0.02, 50.0, "antisymmetric part of the cross stiffness, as a rate of the envelopes"),),
         ("rate",), BOTH,
         "p' += i k J p: a part of A, told from a symmetric one through unequal pick-offs by what a rate does to these",
-        ("pickoff_phase_drift",),
+        ("channel_skew", "multiplexing_skew"),
     ),
     Effect(
         "nonlinear_damping", "Damping that grows with the square of the velocity", "dynamics", (9,),

@@ -49,6 +49,12 @@ from .unseen_steps import with_unseen_steps
 
 __all__ = ["diagnose"]
 
+#: where effects stand that no residual of the slow flow shows
+_PLACES = (
+    (SPECTRAL, "in the spectra"),
+    (LOOP_EFFECTS, "in what the loops ask for"),
+    ((RECIPROCITY,), "in the constants of the linear device"),
+)
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
 #: sd of the share that is closed, beyond which it is no figure to be told
@@ -345,12 +351,9 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         size = ", ".join(f"{k} = {_said(q)}" for k, q in e.parameters.items())
         alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
         words.append(f"{e.name} ({size}), or {alike}")
-    if all(e.name in SPECTRAL for e in effects):
-        return f"Present: {'; and '.join(words)}. It stands in the spectra and leaves the means of the slow flow alone."
-    if all(e.name in (*SPECTRAL, RECIPROCITY) for e in effects):
-        return f"Present: {'; and '.join(words)}. It is in the constants of the linear device, which leave no gap, or in the spectra."
     if all(e.name in (*SPECTRAL, *LOOP_EFFECTS, RECIPROCITY) for e in effects):
-        return f"Present: {'; and '.join(words)}. It is in what the loops ask for, and leaves the slow flow alone."
+        places = [place for names, place in _PLACES if any(e.name in names for e in effects)]
+        return f"Present: {'; and '.join(words)}. It stands {' and '.join(places)}, and leaves the means of the slow flow alone."
     if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS, RECIPROCITY) for e in effects):
         return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
     present = f"Present: {'; and '.join(words)}."

@@ -39,7 +39,8 @@ _TELLS = 0.1
 _OF_SIDE_BAND, _OF_AZIMUTH, _LEAST_LEFT, _SKIRT_BINS = (1, 2, 3, 4, 5), (1, 2, 3, 4, 6, 8), 0.3, 1.5
 #: share of the rows' rate within which their filter leaves a swing; share of the largest below which two of these are one
 _PASSED, _ALIKE = 0.45, 1e-10
-#: frequencies at which a record's transform is formed, in each of its bins: between them it is smooth; frequencies about the best one
+#: frequencies at which a record's transform is formed, in each of its bins: between them it is smooth; frequencies about the best one, and
+#: how often
 _FINE, _FINER, _FINER_TIMES = 16, 17, 2
 
 
