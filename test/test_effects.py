@@ -394,7 +394,7 @@ def test_every_effect_is_tested_here() -> None:
     alone = {
         "drive_saturation", "drive_dead_zone", "pickoff_saturation", "coulomb_friction", "quadratic_damping", "spurious_mode",
         "thermal_lag", "external_tone", "mains_pickup", "pickoff_quantisation", "drive_quantisation", "amplitude_noise", "driven_pump",
-        "pickoff_gain_flicker", "drive_gain_flicker", "reference_spur", "loop_error", "angle_latency",
+        "pickoff_gain_flicker", "pickoff_phase_flicker", "drive_gain_flicker", "reference_spur", "loop_error", "angle_latency",
     }  # fmt: skip
     assert named | alone == set(EFFECTS)
     assert not named & alone

@@ -13,8 +13,8 @@ from effect_samples import DRIVE_HZ, compiled_only, plain_device
 from test_gap_spectra import LINEAR, records
 
 from gyro_calib.device import Device
+from gyro_calib.gap.flicker_effects import with_flickers
 from gyro_calib.gap.flickers import DRIVE_FLICKERS, PICKOFF_FLICKERS, drive_flicker, pickoff_flicker
-from gyro_calib.gap.gain_flicker import with_gain_flicker
 from gyro_calib.gap.noise_law import NoiseLaw
 from gyro_calib.gap.reference_spur import phase_swing
 from gyro_calib.gap.spectral_effects import spectral_effects
@@ -25,9 +25,10 @@ from gyro_calib.simulation import GyroSimulator
 
 
 class Evidence(list[Any]):
-    """Recordings of both axes and the nominal decay."""
+    """Recordings of both axes, the nominal decay, no phase that flickers."""
 
     decay_rate = 1.5
+    phase_floors = (0.0, 0.0)
 
 
 EVIDENCE: Any = Evidence(SimpleNamespace(role=f"ftr_{axis}", mean_square=1.0) for axis in "xy" for _ in range(4))
@@ -162,8 +163,8 @@ def laws(pick: tuple[float, float] = (0.0, 0.0), along: float = 1e-10, across: f
     """Of both axes: floors of the pick-offs' gains [1/sqrt(Hz)], densities along and across the wave [V^2/s]."""
     out = {}
     for axis in "xy":
-        out[f"ftr_{axis}", "amplitude"] = NoiseLaw((along, 0.0, 0.0, 0.0), gains=(pick[0] ** 2, pick[1] ** 2))
-        out[f"ftr_{axis}", "precession"] = NoiseLaw((across, 0.0, 0.0, 0.0), gains=(pick[0] ** 2, pick[1] ** 2))
+        out[f"ftr_{axis}", "amplitude"] = NoiseLaw((along, 0.0, 0.0, 0.0), floors=(pick[0] ** 2, pick[1] ** 2))
+        out[f"ftr_{axis}", "precession"] = NoiseLaw((across, 0.0, 0.0, 0.0), floors=(pick[0] ** 2, pick[1] ** 2))
     return out
 
 
@@ -190,17 +191,18 @@ def test_gains_that_flicker_stand_for_the_noise_that_grows_with_the_wave() -> No
     recordings = records(np.random.default_rng(5), gain=3e-6)
     beside = spectral_effects(recordings, LINEAR)
     assert [e.name for e in beside.effects] == ["amplitude_noise"]
-    healthy = with_gain_flicker(beside, EVIDENCE, LINEAR, laws())
+    healthy = with_flickers(beside, EVIDENCE, LINEAR, laws())
     assert [e.name for e in healthy.effects] == ["amplitude_noise"]
     assert {s.status for s in healthy.standings if s.name.endswith("gain_flicker")} == {"excluded"}
     few: Any = Evidence(EVIDENCE[::4])
-    status = {s.name: s.status for s in with_gain_flicker(beside, few, LINEAR, laws()).standings}
+    status = {s.name: s.status for s in with_flickers(beside, few, LINEAR, laws()).standings}
     assert (status["pickoff_gain_flicker"], status["drive_gain_flicker"]) == ("excluded", "not testable")
-    found = with_gain_flicker(beside, EVIDENCE, LINEAR, laws((6e-5, 0.0)))
+    found = with_flickers(beside, EVIDENCE, LINEAR, laws((6e-5, 0.0)))
     assert [e.name for e in found.effects] == ["pickoff_gain_flicker"]
     assert found.effects[0].parameters["g_x"].value == pytest.approx(6e-5)
     assert found.products > healthy.products
     status = {s.name: s.status for s in found.standings}
     assert (status["pickoff_gain_flicker"], status["amplitude_noise"]) == ("present", "excluded")
-    left_out = with_gain_flicker(beside, EVIDENCE, LINEAR, laws((6e-5, 0.0)), ("pickoff_gain_flicker", "drive_gain_flicker"))
+    flickers = ("pickoff_gain_flicker", "drive_gain_flicker", "pickoff_phase_flicker")
+    left_out = with_flickers(beside, EVIDENCE, LINEAR, laws((6e-5, 0.0)), flickers)
     assert left_out == beside

@@ -74,21 +74,23 @@ def test_a_floor_of_a_gain_is_what_its_noise_brings_to_the_equations_of_a_wave_t
         seen = np.real(r.turn * r.signal_forms.through_flow([g[:, None] * s.pick * np.array([0.0, 1.0]) for g in drawn]))
         count = len(seen) // 2
         for channel, side in (("amplitude", slice(0, count)), ("precession", slice(count, None))):
-            told = NoiseLaw((1e-22, 0.0, 0.0, 0.0), gains=(0.0, 1.0)).covariance(r.lines(channel), r.grams)
+            told = NoiseLaw((1e-22, 0.0, 0.0, 0.0), floors=(0.0, 1.0)).covariance(r.lines(channel), r.grams)
             ratio = np.mean(seen[side] ** 2, axis=1) / np.diag(told)
             # half-cosines of a record are nearly what a stationary noise has there
             assert np.median(ratio) == pytest.approx(1.0, abs=0.15)
             # beside noise of its own, as every kind of record has it
             own = 0.1 * float(np.median(np.diag(told)))
             heard = seen[side] + math.sqrt(own) * np.linalg.cholesky(r.grams.value) @ rng.standard_normal((count, len(drawn)))
-            told = NoiseLaw((own, 0.0, 0.0, 0.0), gains=(0.0, 1.0)).covariance(r.lines(channel), r.grams)
+            told = NoiseLaw((own, 0.0, 0.0, 0.0), floors=(0.0, 1.0)).covariance(r.lines(channel), r.grams)
             found.append(np.mean(np.linalg.solve(np.linalg.cholesky(told), heard) ** 2))
     assert np.mean(found) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.slow
 def test_a_campaign_tells_the_floor_of_each_gain() -> None:
-    quiet, loud = ({law.gains for (_, channel), law in hemisphere(floor).noise.items() if channel == "amplitude"} for floor in (0.0, FLOOR))
+    quiet, loud = (
+        {law.floors for (_, channel), law in hemisphere(floor).noise.items() if channel == "amplitude"} for floor in (0.0, FLOOR)
+    )
     assert max(math.sqrt(g) for gains in quiet for g in gains) < 0.1 * FLOOR
     assert max(math.sqrt(x) for x, _ in loud) < 0.2 * FLOOR
     assert float(np.median([math.sqrt(y) for _, y in loud])) == pytest.approx(FLOOR, rel=0.2)
@@ -120,8 +122,8 @@ def test_floors_are_of_one_size_in_all_kinds_and_none_is_seen_where_there_is_non
     x, y = gain_floors(as_given)
     assert x == 0.0
     assert math.sqrt(y) == pytest.approx(FLOOR, rel=0.1)
-    law = fit_law(*kinds[0], gains=(x, y))
-    assert law.gains == (x, y)
+    law = fit_law(*kinds[0], floors=(x, y))
+    assert law.floors == (x, y)
     assert law.coefficients[0] < 1e-11
     without = [([basis], [1e-12 * rng.chisquare(1.0, 400)]) for basis, _ in kinds]
     assert gain_floors(without) == (0.0, 0.0)
@@ -130,17 +132,17 @@ def test_floors_are_of_one_size_in_all_kinds_and_none_is_seen_where_there_is_non
 
 def test_a_law_with_gains_is_scaled_and_bounded_as_a_whole() -> None:
     law = NoiseLaw((1.0, 2.0, 3.0, 4.0), 5.0, (6.0, 7.0))
-    assert law.times(2.0).gains == (12.0, 14.0)
-    assert law.floor(0.5).gains == (3.0, 3.5)
-    assert law.slow_part.gains == (0.0, 0.0), "it goes on from record to record as the slow drifts do"
-    assert law.not_below(NoiseLaw((0.0, 0.0, 0.0, 0.0), gains=(1.0, 9.0))).gains == (6.0, 9.0)
+    assert law.times(2.0).floors == (12.0, 14.0)
+    assert law.floor(0.5).floors == (3.0, 3.5)
+    assert law.slow_part.floors == (0.0, 0.0), "it goes on from record to record as the slow drifts do"
+    assert law.not_below(NoiseLaw((0.0, 0.0, 0.0, 0.0), floors=(1.0, 9.0))).floors == (6.0, 9.0)
 
 
 def test_beside_a_floor_a_kind_has_noise_of_its_own_as_the_others_have() -> None:
     """Ring-ups without any of it left directions without noise: three rounds of the measurement returned to the first."""
     floor = (0.0, FLOOR**2)
     laws = {
-        k: NoiseLaw((white, 0.0, pickoff, 0.0), gains=floor)
+        k: NoiseLaw((white, 0.0, pickoff, 0.0), floors=floor)
         for k, (white, pickoff) in enumerate(((1e-12, 2e-12), (3e-12, 0.0), (0.0, 0.0)))
     }
     laws[3] = NoiseLaw((0.0, 0.0, 0.0, 0.0))

@@ -110,6 +110,13 @@ PICKOFF = (
         ("amplitude_noise", "drive_gain_flicker", "pickoff_gain_drift"),
     ),
     Effect(
+        "pickoff_phase_flicker", "Phases of the pick-offs flicker (amplifier, demodulator's clock)", "electronics", (45,),
+        tuple(positive(f"p_{axis}", "rad/sqrt(Hz)", 3e-5, 0.01, f"one-sided density of the phase at 1 Hz, {axis}") for axis in "xy"),
+        (), BOTH,
+        "V_j *= exp(i p_j n_j(t)), n of density 1/f: what moves by axis is noise of the frequency, rising with f; a variance effect",
+        ("pickoff_phase_drift", "reference_spur"),
+    ),
+    Effect(
         "reference_spur", "Phase of the reference swings besides what its frequency says", "electronics", (46,),
         (
             positive("frequency_hz", "Hz", 20.0, 1000.0, "frequency of the swing", lower=0.1),

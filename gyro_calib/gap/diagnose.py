@@ -18,8 +18,8 @@ from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
+from .flicker_effects import with_flickers
 from .flow_left import FlowLeft, flows_left
-from .gain_flicker import with_gain_flicker
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
 from .jumps import Jumps, find_jumps
@@ -97,7 +97,7 @@ def diagnose(
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
     beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear))
     beside = with_coarse_drive(beside, model, recordings, left_out)
-    beside = with_gain_flicker(beside, model.evidence, model.linear, model.noise, left_out)
+    beside = with_flickers(beside, model.evidence, model.linear, model.noise, left_out)
     selection = select_effects(model)
     beside = with_unseen_steps(beside, model, selection, left_out)
     selection = _without_products(model, selection, beside)

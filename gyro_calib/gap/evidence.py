@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from ..estimation.wave_lines import role_of
 from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame, thinning
 from ..recording.recording import Recording
 from .lines import lines_of
-from .noise_law import Grams, Lines
+from .noise_law import IN_PHASE, Grams, Lines
 from .signals import WARMING_K, Projector, Signals, smooth_temperature
 
 __all__ = ["CHANNELS", "STEADY", "WARMING", "CampaignEvidence", "RecordingEvidence"]
@@ -56,6 +56,8 @@ class RecordingEvidence:
         Project the forms of effects on the same lines.
     turn : complex
         Unit number that turns the equations by the phase of the wave against the reference.
+    campaign_s : float
+        How long the campaign lasted.
     """
 
     index: int
@@ -66,6 +68,7 @@ class RecordingEvidence:
     signal_forms: Projector
     quiet_forms: Projector
     turn: complex
+    campaign_s: float = 0.0
 
     @property
     def role(self) -> str:
@@ -93,29 +96,42 @@ class RecordingEvidence:
         projector = self.quiet_forms if quiet else self.signal_forms
         f = projector.frequency_hz
         slope = projector.signals.row_s * np.sum(projector.first**2, axis=1) / (2.0 * np.pi) ** 2
+        floors = self._floors(channel, quiet=quiet)
         if channel != "frequency" or not self.is_wave:
             mean = np.where(f == 0.0, MEAN_LINE / self.recording.duration_s, f)
-            return Lines(mean, slope, 1.0, f == 0.0, gains=self._gains(channel, quiet=quiet))
+            return Lines(mean, slope, 1.0, f == 0.0, floors=floors)
         # the mean frequency of a record is a nuisance of its own, whose size is measured: its line holds little noise beside that
         mean = np.where(f == 0.0, OWN_MEAN_LINE / self.recording.duration_s, f)
-        return Lines(mean, slope, self.mean_square, f == 0.0, np.diag(projector.walk_gram))
+        return Lines(mean, slope, self.mean_square, f == 0.0, np.diag(projector.walk_gram), floors=floors)
 
-    def _gains(self, channel: str, *, quiet: bool) -> FloatArray | None:
-        """What floors of the pick-offs' gains bring to a channel of a wave, which its in-phase parts hear."""
-        if not self.is_wave or channel not in ("amplitude", "precession"):
-            return None
-        both = self._quiet_floors if quiet else self._signal_floors
-        count = both.shape[1] // 2
-        side = slice(0, count) if channel == "amplitude" else slice(count, None)
-        return both[:, side, side]
+    def _floors(self, channel: str, *, quiet: bool) -> FloatArray:
+        """What floors of the pick-offs bring to a channel.
+
+        In phase a wave hears gains, else phases, alike. An open drive's wave has any phase, and what stands still while it is recorded is
+        an error of its size all the same: every channel hears both.
+        """
+        in_phase, other = self._quiet_floors if quiet else self._signal_floors
+        count = in_phase.shape[1] // 2
+        side = slice(0, count) if channel in CHANNELS[:2] else slice(count, None)
+        if self.is_wave:
+            return in_phase[:, side, side]
+        both = (in_phase, other) if channel in IN_PHASE else (other, in_phase)
+        return np.concatenate([part[:, side, side] for part in both])
 
     @cached_property
-    def _signal_floors(self) -> FloatArray:
-        return self.signal_forms.gain_floors(self.turn)
+    def _signal_floors(self) -> tuple[FloatArray, FloatArray]:
+        return self._floors_of(self.signal_forms)
 
     @cached_property
-    def _quiet_floors(self) -> FloatArray:
-        return self.quiet_forms.gain_floors(self.turn)
+    def _quiet_floors(self) -> tuple[FloatArray, FloatArray]:
+        return self._floors_of(self.quiet_forms)
+
+    def _floors_of(self, projector: Projector) -> tuple[FloatArray, FloatArray]:
+        """Of gains in the real parts and in the imaginary ones, where only an open drive's are heard; of phases the other way round."""
+        if self.is_wave:
+            both = projector.gain_floors(self.turn)
+            return both, both
+        return projector.gain_floors(self.turn, self.campaign_s), projector.gain_floors(-1j * self.turn, self.campaign_s)
 
     @cached_property
     def grams(self) -> Grams:
@@ -173,12 +189,15 @@ class CampaignEvidence:
         Rough 1/tau [1/s].
     temperature_degc : float
         What temperatures are counted from.
+    phase_floors : tuple of float
+        Of the x and y pick-offs' phases [rad^2/Hz], where they are more than a healthy device's.
     """
 
     recordings: tuple[RecordingEvidence, ...]
     omega0_rad_s: float
     decay_rate: float
     temperature_degc: float
+    phase_floors: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], decay_rate: float) -> CampaignEvidence:
@@ -186,14 +205,14 @@ class CampaignEvidence:
         closed = [r for r in recordings if in_wave_frame(r)]
         temperature = float(np.median([np.median(r.temperature_degc) for r in recordings]))
         omega0 = float(np.median([np.median(r.ref_omega_rad_s) for r in closed]))
-        start = min(float(r.t[0]) for r in recordings)
+        start, end = min(float(r.t[0]) for r in recordings), max(float(r.t[-1]) for r in recordings)
         found: dict[int, RecordingEvidence] = {}
         fastest = max(_fastest(r) for r in recordings)
         before: Signals | None = None
         for i in np.argsort([float(r.t[0]) for r in recordings], kind="stable"):
             if before is not None and not _follows(before.recording, recordings[i], fastest):
                 before = None
-            found[int(i)] = _evidence(int(i), recordings[i], omega0, decay_rate, temperature, start, before)
+            found[int(i)] = _evidence(int(i), recordings[i], omega0, decay_rate, temperature, (start, end), before)
             before = found[int(i)].signals
         return cls(tuple(found[i] for i in range(len(recordings))), omega0, decay_rate, temperature)
 
@@ -202,8 +221,9 @@ class CampaignEvidence:
         found = list(self.recordings)
         for i, recording in recordings.items():
             s = found[i].signals
-            found[i] = _evidence(i, recording, self.omega0_rad_s, self.decay_rate, self.temperature_degc, s.start_s, s.before)
-        return CampaignEvidence(tuple(found), self.omega0_rad_s, self.decay_rate, self.temperature_degc)
+            lasted = s.start_s, s.start_s + found[i].campaign_s
+            found[i] = _evidence(i, recording, self.omega0_rad_s, self.decay_rate, self.temperature_degc, lasted, s.before)
+        return replace(self, recordings=tuple(found))
 
     def __iter__(self):  # type: ignore[no-untyped-def]
         return iter(self.recordings)
@@ -231,8 +251,15 @@ def _follows(before: Recording, after: Recording, fastest_k_s: float) -> bool:
 
 
 def _evidence(
-    index: int, recording: Recording, omega0: float, decay_rate: float, temperature: float, start: float, before: Signals | None
+    index: int,
+    recording: Recording,
+    omega0: float,
+    decay_rate: float,
+    temperature: float,
+    lasted: tuple[float, float],
+    before: Signals | None,
 ) -> RecordingEvidence:
+    start, end = lasted
     signals = Signals(recording, omega0, decay_rate, thinning(recording), temperature, start, index, before)
     rise = smooth_temperature(recording) - temperature
     products = Products(
@@ -255,5 +282,5 @@ def _evidence(
     return RecordingEvidence(
         index, recording, signals,
         products.project(lines.signal), products.project(lines.quiet),
-        signals.projector(lines.signal), signals.projector(lines.quiet), phase,
+        signals.projector(lines.signal), signals.projector(lines.quiet), phase, end - start,
     )  # fmt: skip

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from .evidence import CampaignEvidence
+from .noise_law import IN_PHASE
 from .parts import Linear
 from .system import NoiseByRole
 
@@ -28,7 +29,8 @@ _FEWEST, _LEAST_DAMPING = 4, 0.3
 
 def pickoff_flicker(noise: NoiseByRole) -> tuple[float, float]:
     """Densities at 1 Hz of the gains of x and y beyond a healthy device's [1/sqrt(Hz)], 0 for an axis that has no more."""
-    x, y = (math.sqrt(max((law.gains[axis] for law in noise.values()), default=0.0)) for axis in range(2))
+    of_gains = [law.floors for (_, channel), law in noise.items() if channel in IN_PHASE]
+    x, y = (math.sqrt(max((floors[axis] for floors in of_gains), default=0.0)) for axis in range(2))
     return x if x > PICKOFF_FLICKERS else 0.0, y if y > PICKOFF_FLICKERS else 0.0
 
 

@@ -65,7 +65,17 @@ class FlowLeft:
     @property
     def is_still(self) -> bool:
         """Whether no side band and no turn of the wave moves anything."""
-        return self.excited_hz == 0.0 and self.turning_hz * self.duration_s < _STILL_TURNS
+        return self.excited_hz == 0.0 and self.stands
+
+    @property
+    def stands(self) -> bool:
+        """Whether its wave keeps its azimuth."""
+        return self.turning_hz * self.duration_s < _STILL_TURNS
+
+    @property
+    def amplitude_v(self) -> float:
+        """Set point, by which the flow is relative."""
+        return float(self.kind[1])  # type: ignore[arg-type]
 
     @property
     def duration_s(self) -> float:

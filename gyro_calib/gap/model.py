@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,12 +22,14 @@ from .drifts import without_bent
 from .evidence import CHANNELS, CampaignEvidence
 from .flickers import flickers
 from .floors import course_beside_floors, hidden_by_floors
+from .flow_left import flows_left
 from .linear_device import target_of
 from .missing import missing_of, needed_by
 from .monomials import LATE, RISING, WARM_FED
 from .noise import PlainNoise, measured_noise, plain_noise, remeasured, with_repeats
 from .nuisance import slow_columns
 from .parts import Linear, Setting
+from .phase_floors import phase_floors
 from .preflight import check_linear
 from .rate_table import healthy_phases
 from .saturated import columns_of_time, counting, effect_columns, is_of_time, saturated_columns
@@ -169,6 +171,7 @@ def look_at(
     check_linear(linear, rough, recordings, decay_rate)
     evidence, linear, values, late_s = fitted_device(evidence, linear, angular_gain, wander, most)
     angular_gain = linear.angular_gain
+    evidence = replace(evidence, phase_floors=phase_floors(flows_left(evidence, linear)))
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0

@@ -81,7 +81,7 @@ def find_near_tone(flows: Sequence[FlowLeft], linear: Linear) -> Tone | None:
     linear : Linear
         By whose drives its force is told in volts.
     """
-    floors = _floors([flow for flow in flows if flow.duration_s >= SHORTEST_S and _amplitude_v(flow) > 0.0])
+    floors = _floors([flow for flow in flows if flow.duration_s >= SHORTEST_S and flow.amplitude_v > 0.0])
     if len(floors) < _FEWEST:
         return None
     longest_s = max(flow.duration_s for flow, _ in floors)
@@ -100,11 +100,6 @@ def find_near_tone(flows: Sequence[FlowLeft], linear: Linear) -> Tone | None:
     if evidence[best] <= _MARGIN or float(mirrored.max()) - 1.0 > _ONE_SIDED * (float(ratio[best]) - 1.0):
         return None
     return _told([flow for flow, _ in floors], heard, best, carrier_hz + float(grid[best]), float(evidence[best]), linear)
-
-
-def _amplitude_v(flow: FlowLeft) -> float:
-    """Set point, by which a flow is relative."""
-    return float(flow.kind[1])  # type: ignore[arg-type]
 
 
 def _floors(flows: Sequence[FlowLeft]) -> list[tuple[FlowLeft, tuple[FloatArray, FloatArray]]]:
@@ -176,7 +171,7 @@ def _told(flows: Sequence[FlowLeft], heard: Sequence[_Heard], best: int, frequen
     squares, noises, shares, weight = np.zeros(2), np.zeros(2), [], 0.0
     told = [(flow, h) for flow, h in zip(flows, heard, strict=True) if h.there[best]]
     for flow, h in told:
-        amplitude_v = _amplitude_v(flow)
+        amplitude_v = flow.amplitude_v
         c = amplitude_v * h.c()[best]
         covariance = h.noise * amplitude_v**2 * np.linalg.inv(h.information[:, :, best])
         own = float(np.trace(h.information[:, :, best])) / (h.noise * amplitude_v**2)

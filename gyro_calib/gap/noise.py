@@ -21,7 +21,7 @@ from ..recording.applied_rate import is_turned
 from .column import Column
 from .evidence import CHANNELS, STEADY, WARMING, CampaignEvidence, RecordingEvidence
 from .linear_device import quiet_target_of, target_of
-from .noise_law import PICKOFF, WHITE, NoiseLaw, beside_floors, fit_law, gain_floors
+from .noise_law import IN_PHASE, PICKOFF, WHITE, NoiseLaw, beside_floors, fit_law, floors_heard
 from .nuisance import SWITCHED
 from .system import NoiseByRole, Solution, Stack, Whitener, solve
 
@@ -48,7 +48,6 @@ _GAIN_SHARE = 0.01
 _FLOOR, _STEADY_FLOOR, _FEWEST_SQUARES = 0.3, 0.75, 40
 #: differences between repeated records that say how much their means differ by; as many of all channels count for one's own; rounds
 _FEWEST_REPEATS, _BELIEVED_REPEATS, _REPEAT_ROUNDS = 4, 8.0, 3
-_PLAIN_TERMS = 4  # of a basis that hears no gains
 #: rounds in which a model no richer than it need be tells the noise, where it leaves more than is believed, by so many sd
 _LEAN_ROUNDS, _LOUDER = 2, 2.0
 
@@ -224,7 +223,7 @@ def _squares(
         kept = freedom[rows] > _LEAST_FREEDOM
         basis[key].append(lines.basis()[kept])
         found, free = solution.residual[rows] ** 2 * noise[key].density(lines), freedom[rows]
-        if lines.gains is not None:
+        if lines.floors is not None and (any(noise[key].floors) or (r.is_wave and channel in IN_PHASE)):
             # far from white: what a line has beyond what the others say is no measure of its density
             factor = whitener.channel(k, part, side)
             found, free = (factor @ solution.residual[rows]) ** 2, factor**2 @ free / np.sum(factor**2, axis=1)
@@ -244,12 +243,13 @@ def _from_residuals(
     # an open drive is as steady as its generator, and where its resonance lay is a nuisance of its own: what is slow there is no noise
     steady = {r.noise_key(channel) for r in evidence if not r.is_wave for channel in CHANNELS}
     told = [key for key in basis if sum(len(s) for s in squares[key])]  # else the model follows it at every line: as it was believed
-    gains = gain_floors([(basis[key], squares[key]) for key in told if basis[key][0].shape[1] > _PLAIN_TERMS])
+    floors = floors_heard({key: basis[key] for key in told}, squares, evidence.phase_floors)
     fitted = {}
     for key in told:
-        heard = gains if basis[key][0].shape[1] > _PLAIN_TERMS else (0.0, 0.0)
-        fitted[key] = fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady, gains=heard)
-    found = beside_floors({key: fitted.get(key, noise[key]) for key in basis})
+        own = floors.get(key, (0.0, 0.0))
+        fitted[key] = fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady, floors=own)
+    found = {key: fitted.get(key, noise[key]) for key in basis}
+    found.update(beside_floors({key: law for key, law in found.items() if key not in steady and key[1] != "frequency"}))
     parents = {r.role: r.parent_role for r in evidence}
     out = {}
     for (role, channel), law in found.items():
@@ -265,7 +265,7 @@ def _steady(
     """Noise of recordings in which nothing is commanded to change, beside their means."""
     basis, squares = _squares(evidence, stack, solution, noise, quiet, _is_steady)
     return {
-        key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), gains=noise[key].gains)
+        key: fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), floors=noise[key].floors)
         for key in basis
         if sum(len(s) for s in squares[key]) >= _FEWEST_SQUARES
     }

@@ -301,17 +301,21 @@ class Projector:
             parts.append(s.row_s * operator.reshape(len(self.value), -1))
         return np.concatenate(parts)
 
-    def gain_floors(self, turn: complex) -> FloatArray:
+    def gain_floors(self, turn: complex, campaign_s: float = 0.0) -> FloatArray:
         """Covariance [V^2/s] that a 1/f floor of either pick-off's gain brings to the equations' real parts, shape (2, 2 m, 2 m).
 
-        Of density 1/f from one half-cosine over the record on: what is slower is the campaign's.
+        Of density 1/f from one half-cosine over the record on; what is slower moves the record as a whole, where ``campaign_s`` says how
+        long that may be.
         """
         s = self.signals
         frequency_hz = np.arange(1, s.time_s.size) / (2.0 * s.row_s * s.time_s.size)
         found = []
+        duration_s = s.row_s * s.time_s.size
+        of_whole = np.sqrt(s.time_s.size * np.log(max(campaign_s, duration_s) / duration_s))
+        scale = np.concatenate([[of_whole], 1.0 / np.sqrt(2.0 * s.row_s * frequency_hz)])
         for axis in range(2):
             heard = np.real(turn * self._through_flow[:, axis::2] * s.pick[None, :, axis])
-            spectrum = scipy.fft.dct(heard, norm="ortho", axis=1)[:, 1:] / np.sqrt(2.0 * s.row_s * frequency_hz)
+            spectrum = scale * scipy.fft.dct(heard, norm="ortho", axis=1)
             found.append(spectrum @ spectrum.T)
         return np.stack(found)
 

@@ -54,8 +54,8 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
 def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0) -> list[Column]:
     """Slow cosines of everything that drifts, as large as they may be at most; named ``drift.family.axis.k``.
 
-    And what stands still in the case in each recording whose wave turns past it: ``drift.family.axis.of_index``; gains that flicker in
-    every one.
+    And what stands still in the case in each recording whose wave turns past it: ``drift.family.axis.of_index``; gains and phases that
+    flicker in every one. A pick-off's phase is one of its drive, the other way round.
 
     Parameters
     ----------
@@ -68,11 +68,12 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0
     times = np.array([float(r.signals.time_s.mean()) for r in evidence])
     phase = np.pi * (times - times.min()) / max(float(np.ptp(times)), 1.0)
     volts = float(np.median([np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))) for r in evidence if r.is_wave]))
+    flicker_of = {"gain": flicker, "phase": math.sqrt(max(evidence.phase_floors))}
     largest = {
         "strayc": _STRAY * volts,
         "strays": _STRAY * volts,
-        "gain": max(_GAIN, _ABOVE * flicker),
-        "phase": _PHASE,
+        "gain": max(_GAIN, _ABOVE * flicker_of["gain"]),
+        "phase": max(_PHASE, _ABOVE * flicker_of["phase"]),
         "rate": _RATE * evidence.decay_rate,
     }
     largest |= {"damping": _DAMPING * evidence.decay_rate, "frequency": MOST_WANDER * evidence.omega0_rad_s}
@@ -85,7 +86,7 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0
             signal, quiet = (tuple(float(c) * v for c, v in zip(shape, of, strict=True)) for of in (column.signal, column.quiet))
             columns.append(Column(f"drift.{column.name}.{k}", signal, quiet, largest[family] / np.sqrt(k)))
         if family in _OF_CASE:
-            columns += _of_recordings(evidence, column, largest[family], every=family == "gain" and flicker > 0.0)
+            columns += _of_recordings(evidence, column, largest[family], every=flicker_of.get(family, 0.0) > 0.0)
     return [c for c in columns if any(np.any(v) for v in c.signal)]
 
 

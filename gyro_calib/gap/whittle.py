@@ -25,7 +25,7 @@ _ALIKE = 1e-12
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
-def likeliest(basis: FloatArray, squares: FloatArray) -> FloatArray:
+def likeliest(basis: FloatArray, squares: FloatArray, known: FloatArray | float = 0.0) -> FloatArray:
     """Non-negative sizes of any number of densities.
 
     Parameters
@@ -34,6 +34,8 @@ def likeliest(basis: FloatArray, squares: FloatArray) -> FloatArray:
         Densities of unit size.
     squares : ndarray, shape (n,)
         Each of its density times a chi-square with one degree of freedom.
+    known : ndarray, shape (n,), optional
+        Density that is there besides.
 
     Returns
     -------
@@ -45,10 +47,10 @@ def likeliest(basis: FloatArray, squares: FloatArray) -> FloatArray:
     found = np.zeros(basis.shape[1])
     for _ in range(_MOST_ROUNDS):
         before = found
-        found = _nonnegative(scaled / expected[:, None], squares / expected)
+        found = _nonnegative(scaled / expected[:, None], (squares - known) / expected)
         if np.all(np.abs(found - before) <= _SETTLED * (before + found.max(initial=0.0))):
             break
-        expected = np.maximum(scaled @ found, _LEAST * mean + 1e-300)
+        expected = np.maximum(scaled @ found + known, _LEAST * mean + 1e-300)
     return np.asarray(found / size)
 
 

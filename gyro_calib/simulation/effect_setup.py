@@ -29,6 +29,7 @@ _PLAIN = SLOW_EFFECTS | {
     "pickoff_saturation",
     "pickoff_quantisation",
     "pickoff_gain_flicker",
+    "pickoff_phase_flicker",
     "drive_gain_flicker",
     "loop_error",
     "angle_latency",

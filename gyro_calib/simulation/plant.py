@@ -36,6 +36,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: what depends on temperature is interpolated between multiples of this [K]
 _NODE_K = 0.1
+#: effects that make a chain flicker, and which
+_FLICKERS = {"pickoff_gain_flicker": "pick", "drive_gain_flicker": "drive", "pickoff_phase_flicker": "pick"}
 
 
 class Plant(Protocol):
@@ -130,17 +132,20 @@ class _Base:
         return self._normals.draw(count) if self.noisy else np.zeros(count, dtype=np.float32)
 
 
-class _GainFlicker:
-    """Gains of both axes that flicker row by row, of an effect's sizes."""
+class _ChainFlicker:
+    """What both axes of a chain are multiplied by row by row: gains or phases that flicker, of an effect's sizes."""
 
     def __init__(self, device: Device, effect: str, rng: np.random.Generator) -> None:
         own = np.random.default_rng(rng.integers(0, 2**63, size=4))
-        self._floor = np.array([floor_of_density(device.effects[effect].get(name, 0.0)) for name in ("g_x", "g_y")])
+        self._of_phase = effect.endswith("_phase_flicker")
+        sizes = device.effects[effect]
+        self._floor = np.array([floor_of_density(sizes.get(f"{'p' if self._of_phase else 'g'}_{axis}", 0.0)) for axis in "xy"])
         self._source = FlickerSource(own, 1.0, 2, 1.0 / device.electronics.sample_rate_hz, GAIN_TIMES_S)
 
-    def rows(self, count: int) -> FloatArray:
+    def rows(self, count: int) -> NDArray[np.complex128]:
         """Factors of the next rows, shape (count, 2)."""
-        return np.asarray(1.0 + self._floor * self._source.rows(count))
+        moved = self._floor * self._source.rows(count)
+        return np.exp(1j * moved) if self._of_phase else 1.0 + moved.astype(np.complex128)
 
 
 class CarrierPlant(_Base):
@@ -169,12 +174,8 @@ class CarrierPlant(_Base):
             self.memory = started_memory(self.effect, start.pick, volts, start.drive, unpick)
         # a stream of its own: a device without this noise keeps its rows
         self._gain_noise = np.random.default_rng(rng.integers(0, 2**63, size=4)) if noisy and "amplitude_noise" in device.effects else None
-        # and so have gains that flicker
-        self._flicker_of = {
-            chain: _GainFlicker(device, f"{chain}_gain_flicker", rng)
-            for chain in ("pickoff", "drive")
-            if noisy and f"{chain}_gain_flicker" in device.effects
-        }
+        # and so have gains and phases that flicker
+        self._flicker_of = {name: _ChainFlicker(device, name, rng) for name in _FLICKERS if noisy and name in device.effects}
         self.flags = (
             (carrier.FLAG_NONLINEAR if self.nonlinear.any() else 0)
             | (carrier.FLAG_PICKOFF_CUBIC if self.converters[4] or self.converters[7] else 0)
@@ -231,10 +232,9 @@ class CarrierPlant(_Base):
         r = self.device.resonator
         omega = r.omega0_rad_s * (1.0 + r.frequency_tempco_per_k * (temperature_degc - r.reference_temperature_degc))
         terms = self._slow.terms(rate_rad_s, temperature_degc)
-        if (source := self._flicker_of.get("pickoff")) is not None:
-            terms = replace(terms, pick=terms.pick * source.rows(len(rate_rad_s)))
-        if (source := self._flicker_of.get("drive")) is not None:
-            terms = replace(terms, drive=terms.drive * source.rows(len(rate_rad_s)))
+        for name, source in self._flicker_of.items():
+            chain = _FLICKERS[name]
+            terms = replace(terms, **{chain: getattr(terms, chain) * source.rows(len(rate_rad_s))})
         mode = 2.0 * math.pi * self.device.effects.get("spurious_mode", {}).get("separation_hz", 0.0)
         return *add_to_carrier(terms, physics, drive, pick, omega), kernel_rows(terms, omega + mode)
 
