@@ -14,10 +14,12 @@ from table_samples import looked_at
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
+from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.flow_left import FlowLeft, flows_left
-from gyro_calib.gap.near_tones import find_near_tone
+from gyro_calib.gap.near_tones import _floors, _heard, _there, find_near_tone
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.steady_swings import find_steady_swing
+from gyro_calib.gap.swings import kinds_of
 from gyro_calib.simulation import GyroSimulator
 
 ROWS, COUNT = 900, 12
@@ -99,6 +101,24 @@ def test_what_goes_to_and_fro_is_none(channel: str) -> None:
         more = 1e-4 * np.cos(2.0 * np.pi * 2.53 * ROW_S * np.arange(ROWS) + k)
         swinging.append(replace(flow, rate={**flow.rate, channel: flow.rate[channel] + more}))
     assert find_near_tone(swinging, LINEAR) is None
+
+
+def test_below_what_tells_a_floor_nothing_is_heard() -> None:
+    """References 0.65 and 0.86 Hz beside a multiple of the rows' rate: images leave gaps in which no floor is known."""
+    covered = [
+        replace(flow, carrier_hz=14999.35 - 0.205 * (k % 2), kind=(*flow.kind, k % 2))
+        for k, flow in enumerate(flows(np.random.default_rng(5)))
+    ]
+    lowest_hz = min(kind.lowest_hz for channel in CHANNELS for kind in kinds_of(covered, channel))
+    assert lowest_hz > 3.0
+    away_hz = np.linspace(0.3, 9.0, 400)
+    told = 0
+    for flow, floor in _floors(covered):
+        there = _heard(flow, away_hz, floor).there
+        assert np.any(_there(flow, away_hz) & (away_hz < lowest_hz)), "a gap between images"
+        assert not np.any(there & (away_hz < 0.97 * lowest_hz))
+        told += int(np.any(there))
+    assert told == COUNT
 
 
 def test_one_disturbed_record_is_none() -> None:

@@ -55,6 +55,9 @@ def test_what_first_order_leaves_keeps_to_no_time(name: str, share: float, besid
         ("rate_asymmetry", 158.0, 1600.0, True),
         ("thermal_bias", 158.0, 1600.0, True),
         ("pickoff_nonlinearity", 158.0, 1600.0, False),
+        # a cubic damping beside a Duffing of ten thousand standard deviations: all that was left
+        ("pickoff_nonlinearity", 1396.0, 2647.0, True),
+        ("pickoff_nonlinearity", 900.0, 2647.0, False),
         # a centrifugal stiffness of 960 where a charge of 7487 was missing
         ("centrifugal_stiffness", 960.0, 8348.0, False),
     ],

@@ -14,6 +14,9 @@ __all__ = ["beyond_complete", "enough", "stands"]
 _OF_OTHERS = 0.1
 #: and of all that is left beside it: where another effect was still missing such forms had 0.13 at most
 _OF_THE_REST = 0.15
+#: and of all that is left, what so much of it is of one other effect: of a Duffing of 1e8 in chi-square 1e3 were left, all of them a cubic
+#: damping's, and what forms of first order leave is of many
+_ALL_OF_THE_REST = 0.8
 #: chi-square over the degrees of freedom that a complete model leaves: noise is taken for larger than it is by as much as that
 _COMPLETE = 0.8
 
@@ -35,6 +38,7 @@ def enough(found: Screened, largest: Screened | None = None, rest: float = math.
         # experiments are in a drawn order, and most of them cold and at rest: little of what is static is seen in what is not, or of
         # what is not in what is static
         left = min(_OF_OTHERS * left, _OF_THE_REST * rest)
+    left = min(left, _ALL_OF_THE_REST * rest)
     return found.log_evidence > MARGIN and found.gain > max(LEAST_GAIN, left)
 
 

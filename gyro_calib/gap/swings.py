@@ -143,6 +143,11 @@ class Kind:
         lowest = [s.frequency_hz[s.low].min(initial=np.inf) for s in self.spectra]
         return np.sum(np.array(lowest)[:, None] <= grid, axis=0) >= fewest
 
+    @property
+    def lowest_hz(self) -> float:
+        """From where on any record tells the floor: images may cover all below some hertz."""
+        return min(float(s.frequency_hz[s.low].min(initial=np.inf)) for s in self.spectra)
+
     def law(self, grid: FloatArray) -> FloatArray:
         """The floor at frequencies, whatever stands there."""
         return np.asarray(_basis(grid) @ self._floor(None))
