@@ -23,16 +23,13 @@ from ..quantity import Quantity
 from ..recording.recording import Recording
 from .diagnosis import FoundEffect, Standing
 from .spectra import plain_records
-from .spectral_effects import found_beside
+from .spectral_effects import SEEN, SIGMA, found_beside
 
 __all__ = ["LOOP_EFFECTS", "LoopEffects", "loop_effects"]
 
 FloatArray = NDArray[np.float64]
 LOOP_EFFECTS = ("loop_error", "angle_latency")
 
-#: significance of a finding, in standard deviations, and what would have been seen nine times in ten
-_SIGMA = 6.0
-_SEEN = _SIGMA + 1.28
 #: what a loop may leave of its error after it has settled, of the amplitude (sd)
 _SETTLED = 1e-6
 #: share of the converter's range from which on a drive is at its end, and no loop can hold what it holds
@@ -81,9 +78,9 @@ def _loop_error(held: Mapping[str, FloatArray]) -> tuple[FoundEffect | None, Qua
     units = {p.name: p.unit for p in EFFECTS["loop_error"].parameters}
     missed = {name: Quantity(value, sd, units[name]) for name, (value, sd) in sizes.items()}
     worst_sd = max(q.sd for q in missed.values())
-    if all(abs(q.value) < _SIGMA * q.sd for q in missed.values()):
-        return None, Quantity(_SEEN * worst_sd, worst_sd, "1")
-    return found_beside("loop_error", missed, _SIGMA**2, harmless=False), None
+    if all(abs(q.value) < SIGMA * q.sd for q in missed.values()):
+        return None, Quantity(SEEN * worst_sd, worst_sd, "1")
+    return found_beside("loop_error", missed, SIGMA**2, harmless=False), None
 
 
 def _held(recordings: Sequence[Recording], full_scale_v: float) -> dict[str, FloatArray]:
@@ -125,10 +122,10 @@ def _angle_latency(recordings: Sequence[Recording], factory: Mapping[str, Any]) 
         return None, None
     expected, most_s = control
     beyond = (latency.value - most_s) / latency.sd
-    if beyond < _SIGMA:
-        return None, Quantity(most_s - expected.value + _SEEN * latency.sd, latency.sd, "s")
+    if beyond < SIGMA:
+        return None, Quantity(most_s - expected.value + SEEN * latency.sd, latency.sd, "s")
     excess = Quantity(latency.value - expected.value, float(np.hypot(latency.sd, expected.sd)), "s")
-    return found_beside("angle_latency", {"tau": excess}, _SIGMA**2, harmless=False), None
+    return found_beside("angle_latency", {"tau": excess}, SIGMA**2, harmless=False), None
 
 
 def _of_control(recordings: Sequence[Recording], factory: Mapping[str, Any]) -> tuple[Quantity, float] | None:

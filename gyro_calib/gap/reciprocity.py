@@ -18,15 +18,12 @@ from ..recording.applied_rate import is_turned
 from .diagnosis import FoundEffect, Standing
 from .evidence import CampaignEvidence
 from .linear_device import linear_of
-from .spectral_effects import found_beside
+from .spectral_effects import SEEN, SIGMA, found_beside
 from .system import Solution
 
 __all__ = ["RECIPROCITY", "circulatory_stiffness", "reciprocity"]
 
 RECIPROCITY = "circulatory_stiffness"
-#: significance of a finding, in standard deviations, and what would have been seen nine times in ten
-_SIGMA = 6.0
-_SEEN = _SIGMA + 1.28
 #: what is not linear of second order in pick-offs and table, over what is unequal of A (sd)
 _SECOND_ORDER = 1e-4
 #: step of a derivative, in standard deviations
@@ -58,10 +55,10 @@ def reciprocity(
     size = circulatory_stiffness(evidence, solution, angular_gain) if told else None
     if size is None:
         return (), (Standing(RECIPROCITY, effect.title, effect.location, "not testable", None, 0.0, 0.0, 0.0),)
-    present = abs(size.value) > _SIGMA * size.sd
-    limit = None if present else Quantity(_SEEN * size.sd, size.sd, size.unit)
+    present = abs(size.value) > SIGMA * size.sd
+    limit = None if present else Quantity(SEEN * size.sd, size.sd, size.unit)
     line = Standing(RECIPROCITY, effect.title, effect.location, "present" if present else "excluded", limit, 0.0, 0.0, 0.0)
-    return ((found_beside(RECIPROCITY, {"k": size}, _SIGMA**2, harmless=False),) if present else ()), (line,)
+    return ((found_beside(RECIPROCITY, {"k": size}, SIGMA**2, harmless=False),) if present else ()), (line,)
 
 
 def circulatory_stiffness(evidence: CampaignEvidence, solution: Solution, angular_gain: float) -> Quantity:

@@ -20,15 +20,15 @@ from .spectra import near_line, pick_spectra, plain_records
 from .swings import Swing
 from .tones import Tone, find_tone
 
-__all__ = ["SAMPLED", "SPECTRAL", "SpectralEffects", "found_beside", "spectral_effects"]
+__all__ = ["SAMPLED", "SEEN", "SIGMA", "SPECTRAL", "SpectralEffects", "found_beside", "spectral_effects"]
 
 #: effects that are found here: in the spectra, and in samples at the converters' rate
 SPECTRAL = ("external_tone", "mains_pickup", "amplitude_noise", "reference_spur", "base_sway")
 SAMPLED = ("pickoff_quantisation",)
 
-#: significance from which on the growth of the floor is a finding, in standard deviations; what would have been seen nine times in ten
-_SIGMA = 6.0
-_SEEN = _SIGMA + 1.28
+#: significance from which on what no fit tells is a finding, in standard deviations; what would have been seen nine times in ten
+SIGMA = 6.0
+SEEN = SIGMA + 1.28
 #: how much of a line's own gain, times its squared share of the wave, its squares may have where the model looks
 _SQUARES = 3.0
 #: probability of a finding that is as strong as it must be here
@@ -109,7 +109,7 @@ def spectral_effects(
     rippling = driven or _rippling_gain(tone, swing)
     if any(e.name == "reference_spur" for e in effects):
         rippling, growth = None, None
-    if rippling is None and growth is not None and growth.gain_sigma > _SIGMA and "amplitude_noise" not in left_out:
+    if rippling is None and growth is not None and growth.gain_sigma > SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
     rounded = steps is not None and steps.undithered and "pickoff_quantisation" not in left_out
     if steps is not None and rounded:
@@ -140,7 +140,7 @@ def _noisy_gain(growth: NoiseGrowth) -> FoundEffect:
 
 def _coarse_steps(steps: ConverterSteps) -> FoundEffect:
     unit = EFFECTS["pickoff_quantisation"].parameter("lsb").unit
-    return found_beside("pickoff_quantisation", {"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, unit)}, _SIGMA**2, harmless=False)
+    return found_beside("pickoff_quantisation", {"lsb": Quantity(steps.lsb_v, steps.lsb_sd_v, unit)}, SIGMA**2, harmless=False)
 
 
 def found_beside(
@@ -232,7 +232,7 @@ def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unkn
 
 
 def _noisy_clock(growth: NoiseGrowth | None) -> Unknown | None:
-    if growth is None or growth.clock_sigma < _SIGMA:
+    if growth is None or growth.clock_sigma < SIGMA:
         return None
     return Unknown("electronics", "in quadrature", "white noise in proportion to x", "amplitude", "amplitude_noise", growth.clock_sigma**2)
 
@@ -249,5 +249,5 @@ def _standing(name: str, present: set[str], alike: dict[str, str], growth: Noise
     elif name in _NOT_TESTABLE or (name == "amplitude_noise" and growth is None) or not heard:
         status = "not testable"
     elif name == "amplitude_noise" and growth is not None:
-        limit = Quantity(math.sqrt(_SEEN) * growth.gain_per_rthz_limit, growth.gain_per_rthz_limit, effect.parameters[0].unit)
+        limit = Quantity(math.sqrt(SEEN) * growth.gain_per_rthz_limit, growth.gain_per_rthz_limit, effect.parameters[0].unit)
     return Standing(name, effect.title, effect.location, status, limit, 0.0, 0.0, 0.0)
