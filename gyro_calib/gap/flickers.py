@@ -21,8 +21,9 @@ __all__ = ["DRIVE_FLICKERS", "PICKOFF_FLICKERS", "drive_flicker", "flickers", "p
 #: density of a gain at 1 Hz from which on it flickers more than a healthy one [1/sqrt(Hz)]: pick-offs of eight plants came to 3.7e-6,
 #: drives of the practice devices to 3e-5
 PICKOFF_FLICKERS, DRIVE_FLICKERS = 1.2e-5, 1.4e-4
-#: of a drive's, over the density across the wave, in power: practice devices have 1 to 3; over a pick-off's, which moves the wave too
-_BEYOND, _BEYOND_PICKOFF = 30.0, 4.0
+#: of a drive's, over the density across the wave, in power: practice devices have 1 to 3; over a pick-off's, which moves the wave too (six
+#: times in records of 4 s)
+_BEYOND, _BEYOND_PICKOFF = 30.0, 8.0
 #: recordings of an axis that tell its noise from what a fit of a few explains, and damping over the nominal one of which that is so
 _FEWEST, _LEAST_DAMPING = 4, 0.3
 
