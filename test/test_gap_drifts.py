@@ -11,7 +11,7 @@ import pytest
 from test_gap_courses import clean, with_reading_gain
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.drifts import drift_settings, drifted, said_course, without_bent
+from gyro_calib.gap.drifts import best_course, drift_settings, drifted, said_course, without_bent
 
 SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401))
 
@@ -45,6 +45,20 @@ def test_the_noise_is_measured_beside_straight_drifts_alone() -> None:
     kept = without_bent(cast(Any, of_all))
     assert [c.setting for c in kept["bias_drift"]] == [{}, {"tau": 30.0}]
     assert len(kept["charge_accumulation"]) == 1
+
+
+@pytest.mark.parametrize(("better", "bends"), [(0.4, False), (-3.0, False), (3.0, True)])
+def test_a_course_bends_where_that_is_more_than_the_chance_of_many(better: float, bends: bool) -> None:
+    """A straight drift of a feedthrough (8) had 20.6 in log evidence, and along one of six courses that bend 21.0 and twice its size."""
+    tried = [SimpleNamespace(setting=s) for s in drift_settings([SIGNALS])]
+    best = next(c for c in tried if "slows_s" in c.setting)
+
+    def screened(candidates: Any) -> list[Any]:
+        return [SimpleNamespace(candidate=c, log_evidence=20.0 + (better if c is best else -9.0 if c.setting else 0.0)) for c in candidates]
+
+    beside: Any = SimpleNamespace(screened=screened)
+    for here in (tried[0], best):
+        assert (best_course(beside, cast(Any, tried), cast(Any, here), lambda c: c) is best) is bends
 
 
 @pytest.mark.slow

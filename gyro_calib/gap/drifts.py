@@ -6,6 +6,7 @@ course, that of charge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -63,6 +64,9 @@ def drifting_feedthrough(s: Signals, setting: Setting, *, across: bool) -> list[
 def best_course(beside: Screener, tried: Sequence[Candidate], here: Candidate, refined: Callable[[Candidate], Candidate]) -> Candidate:
     """An effect at its best settings; a drift along the course that explains most: as it was found it had the others' share in its own.
 
+    A straight line is one course and bent ones are many: of these the best must be better by what their number makes of chance. One that
+    was by 0.4 in log evidence had twice the size, for at its beginning a bent one goes faster.
+
     Parameters
     ----------
     beside : Screener
@@ -79,7 +83,9 @@ def best_course(beside: Screener, tried: Sequence[Candidate], here: Candidate, r
         return refined(here)
     best = [max(beside.screened(of_kind), key=lambda s: s.log_evidence).candidate for of_kind in bent]
     straight = [c for c in tried if not c.setting]
-    return max(beside.screened(map(refined, (here, *straight, *best))), key=lambda s: s.log_evidence).candidate
+    ahead = math.log(sum(len(of_kind) for of_kind in bent))
+    found = beside.screened(map(refined, (here, *straight, *best)))
+    return max(found, key=lambda s: s.log_evidence + (0.0 if s.candidate.setting else ahead)).candidate
 
 
 def said_course(setting: Setting) -> str:
