@@ -69,19 +69,20 @@ def test_gain_noise_grows_with_the_amplitude_and_is_in_phase_with_it() -> None:
 
 
 @compiled_only
-def test_gains_of_pickoffs_flicker_in_proportion_to_what_they_read() -> None:
-    """Open drive, which no loop answers: each axis has its own density, and both are in phase with their signal."""
-    sizes = {"g_x": 2e-4, "g_y": 5e-5}
-    simulator = GyroSimulator(quiet({"pickoff_gain_flicker": sizes}), rng=np.random.default_rng(1))
-    for axis, size in (("x", "g_x"), ("y", "g_y")):
+@pytest.mark.parametrize(("effect", "letter"), [("pickoff_gain_flicker", "g"), ("pickoff_phase_flicker", "p")])
+def test_gains_and_phases_of_pickoffs_flicker_in_proportion_to_what_they_read(effect: str, letter: str) -> None:
+    """Open drive, which no loop answers: each axis has its own density; gains are in phase with their signal, phases across it."""
+    sizes = {f"{letter}_x": 2e-4, f"{letter}_y": 5e-5}
+    simulator = GyroSimulator(quiet({effect: sizes}), rng=np.random.default_rng(1))
+    for axis, (size, column) in zip("xy", zip(sizes.values(), (2, 4), strict=True), strict=True):
         simulator.configure(Command("loops_off", Excitation("drive", DRIVE_HZ, 0.0, 2.0, axis)))
         simulator.advance(2.0)
         rows = simulator.advance(60.0)
-        column = 2 if axis == "x" else 4
         volts = rows[:, column] + 1j * rows[:, column + 1]
         relative = volts / volts.mean()
-        assert density_at(relative.real, 1.0 / 500.0, 0.3, 30.0) == pytest.approx(sizes[size], rel=0.15)
-        assert np.std(relative.imag) < 0.1 * np.std(relative.real)
+        moved, still = (relative.real, relative.imag) if letter == "g" else (relative.imag, relative.real)
+        assert density_at(moved, 1.0 / 500.0, 0.3, 30.0) == pytest.approx(size, rel=0.15)
+        assert np.std(still) < 0.1 * np.std(moved)
 
 
 @compiled_only

@@ -1,4 +1,4 @@
-"""Phases of the pick-offs that flicker: at the carrier, as a floor of a campaign, in what an open drive tells, and as a finding."""
+"""Phases of the pick-offs that flicker: as a floor of a campaign, in what an open drive tells, and as a finding."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from effect_samples import DRIVE_HZ, compiled_only
 from numpy.typing import NDArray
-from test_gap_flickers import EVIDENCE, density_at, laws, quiet
+from test_gap_flickers import EVIDENCE, laws
 from test_gap_gain_floors import flickering
 from test_gap_spectra import LINEAR, records
 
@@ -25,7 +24,6 @@ from gyro_calib.gap.noise_law import NoiseLaw
 from gyro_calib.gap.phase_floors import PHASE_FLICKERS, phase_floors
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.spectral_effects import spectral_effects
-from gyro_calib.recording.command import Command, Excitation
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
 
@@ -58,22 +56,6 @@ def derivative(x: FloatArray) -> FloatArray:
     """As an endless record has it."""
     f = np.fft.rfftfreq(x.size, ROW_S)
     return np.asarray(np.fft.irfft(2j * np.pi * f * np.fft.rfft(x), x.size))
-
-
-@compiled_only
-def test_phases_of_pickoffs_flicker_across_what_they_read() -> None:
-    """Open drive, which no loop answers: each axis has its own density, and both are out of phase with their signal."""
-    sizes = {"p_x": 2e-4, "p_y": 5e-5}
-    simulator = GyroSimulator(quiet({"pickoff_phase_flicker": sizes}), rng=np.random.default_rng(1))
-    for axis, size in (("x", "p_x"), ("y", "p_y")):
-        simulator.configure(Command("loops_off", Excitation("drive", DRIVE_HZ, 0.0, 2.0, axis)))
-        simulator.advance(2.0)
-        rows = simulator.advance(60.0)
-        column = 2 if axis == "x" else 4
-        volts = rows[:, column] + 1j * rows[:, column + 1]
-        relative = volts / volts.mean()
-        assert density_at(relative.imag, 1.0 / 500.0, 0.3, 30.0) == pytest.approx(sizes[size], rel=0.15)
-        assert np.std(relative.real) < 0.1 * np.std(relative.imag)
 
 
 @pytest.mark.parametrize("phases", [(6e-5, 0.0), (0.0, 2e-5), (6e-5, 6e-5), (6e-5, 2e-5)])
