@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from test_gap_flickers import EVIDENCE, laws
+from test_gap_flickers import EVIDENCE, Evidence, laws
 from test_gap_gain_floors import flickering
 from test_gap_spectra import LINEAR, records
 
@@ -121,13 +121,10 @@ def test_an_open_drive_reads_gain_and_phase_as_they_stand_at_its_time(is_phase: 
 def test_phases_that_flicker_are_a_finding_beside_the_slow_flow() -> None:
     recordings = records(np.random.default_rng(5))
     beside = spectral_effects(recordings, LINEAR)
-    evidence: Any = EVIDENCE
+    evidence: Any = Evidence(EVIDENCE)
     evidence.phase_floors = (3.6e-9, 0.0)
-    try:
-        found = with_flickers(beside, evidence, LINEAR, laws())
-        left_out = with_flickers(beside, evidence, LINEAR, laws(), ("pickoff_phase_flicker",))
-    finally:
-        evidence.phase_floors = (0.0, 0.0)
+    found = with_flickers(beside, evidence, LINEAR, laws())
+    left_out = with_flickers(beside, evidence, LINEAR, laws(), ("pickoff_phase_flicker",))
     (effect,) = (e for e in found.effects if e not in beside.effects)
     assert effect.name == "pickoff_phase_flicker"
     assert effect.parameters["p_x"].value == pytest.approx(6e-5)

@@ -153,6 +153,7 @@ def test_what_no_residual_shows_is_said_to_stand_where_it_does() -> None:
     assert "It stands in what the loops ask for and in the constants of the linear device, and" in said(
         "loop_error", "circulatory_stiffness"
     )
+    assert "It stands in the floors of the noise, and leaves the means" in said("pickoff_phase_flicker")
     assert "closes 50.0 %" in said("duffing", "base_sway")
 
 

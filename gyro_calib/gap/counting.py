@@ -30,7 +30,7 @@ def enough(found: Screened, largest: Screened | None = None, rest: float = math.
     largest : Screened or None
         The loudest effect, if there is another.
     rest : float
-        Chi-square that is left beside what was found so far, from :func:`beyond_complete`.
+        Chi-square that is left without it beside what else was found, from :func:`beyond_complete`.
     """
     left = 0.0 if largest is None else SECOND_ORDER * largest.gain
     moved_by, loudest_by = _moved_by(found.name), set() if largest is None else _moved_by(largest.name)

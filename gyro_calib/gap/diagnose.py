@@ -18,7 +18,7 @@ from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
-from .flicker_effects import with_flickers
+from .flicker_effects import FLICKERS, with_flickers
 from .flow_left import FlowLeft, flows_left
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
@@ -52,6 +52,7 @@ __all__ = ["diagnose"]
 #: where effects stand that no residual of the slow flow shows
 _PLACES = (
     (SPECTRAL, "in the spectra"),
+    (FLICKERS, "in the floors of the noise"),
     (LOOP_EFFECTS, "in what the loops ask for"),
     ((RECIPROCITY,), "in the constants of the linear device"),
 )
@@ -351,10 +352,11 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
         size = ", ".join(f"{k} = {_said(q)}" for k, q in e.parameters.items())
         alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
         words.append(f"{e.name} ({size}), or {alike}")
-    if all(e.name in (*SPECTRAL, *LOOP_EFFECTS, RECIPROCITY) for e in effects):
+    beside = {name for names, _ in _PLACES for name in names}
+    if all(e.name in beside for e in effects):
         places = [place for names, place in _PLACES if any(e.name in names for e in effects)]
         return f"Present: {'; and '.join(words)}. It stands {' and '.join(places)}, and leaves the means of the slow flow alone."
-    if all(e.name in (*SPECTRAL, *SAMPLED, *LOOP_EFFECTS, RECIPROCITY) for e in effects):
+    if all(e.name in beside.union(SAMPLED) for e in effects):
         return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
     present = f"Present: {'; and '.join(words)}."
     if shrunk.told_sd > _UNKNOWN_SHARE:

@@ -57,7 +57,7 @@ class RecordingEvidence:
     turn : complex
         Unit number that turns the equations by the phase of the wave against the reference.
     campaign_s : float
-        How long the campaign lasted.
+        How long the campaign lasted [s].
     """
 
     index: int

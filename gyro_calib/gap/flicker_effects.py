@@ -16,11 +16,12 @@ from .phase_floors import PHASE_FLICKERS
 from .spectral_effects import SpectralEffects, found_beside
 from .system import NoiseByRole
 
-__all__ = ["with_flickers"]
+__all__ = ["FLICKERS", "with_flickers"]
 
-_PICKOFF, _DRIVE, _PHASE = "pickoff_gain_flicker", "drive_gain_flicker", "pickoff_phase_flicker"
+FLICKERS = ("pickoff_gain_flicker", "drive_gain_flicker", "pickoff_phase_flicker")
+_PICKOFF, _DRIVE, _PHASE = FLICKERS
 #: how well a floor is measured, over itself: 8e-5 and 5e-5 of pick-offs were 7.6e-5 and 4.7e-5, 3e-4 of drives 2.9e-4 and 3.2e-4; of phases
-#: 6e-5 and 2e-5 were 6.1e-5 and 1.4e-5 to 1.6e-5, as the filter of the rows bends them
+#: 6e-5 and 2e-5 were 5.8e-5 to 6.3e-5 and 1.8e-5 to 2.0e-5, and a filter of the rows may bend them
 _SHARE_SD, _PHASE_SHARE_SD = 0.1, 0.15
 #: chi-square of a finding that is as strong as it must be
 _GAIN = 36.0

@@ -223,7 +223,7 @@ def _squares(
         kept = freedom[rows] > _LEAST_FREEDOM
         basis[key].append(lines.basis()[kept])
         found, free = solution.residual[rows] ** 2 * noise[key].density(lines), freedom[rows]
-        if lines.floors is not None and (any(noise[key].floors) or (r.is_wave and channel in IN_PHASE)):
+        if any(noise[key].floors) or (r.is_wave and channel in IN_PHASE):
             # far from white: what a line has beyond what the others say is no measure of its density
             factor = whitener.channel(k, part, side)
             found, free = (factor @ solution.residual[rows]) ** 2, factor**2 @ free / np.sum(factor**2, axis=1)
@@ -246,8 +246,8 @@ def _from_residuals(
     floors = floors_heard({key: basis[key] for key in told}, squares, evidence.phase_floors)
     fitted = {}
     for key in told:
-        own = floors.get(key, (0.0, 0.0))
-        fitted[key] = fit_law(np.concatenate(basis[key]), np.concatenate(squares[key]), slow=key not in steady, floors=own)
+        together = np.concatenate(basis[key]), np.concatenate(squares[key])
+        fitted[key] = fit_law(*together, slow=key not in steady, floors=floors[key])
     found = {key: fitted.get(key, noise[key]) for key in basis}
     found.update(beside_floors({key: law for key, law in found.items() if key not in steady and key[1] != "frequency"}))
     parents = {r.role: r.parent_role for r in evidence}

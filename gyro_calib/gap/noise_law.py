@@ -204,7 +204,7 @@ def floors_heard(
     squares: Mapping[tuple[str, str], Sequence[FloatArray]],
     phases: tuple[float, float],
 ) -> dict[tuple[str, str], tuple[float, ...]]:
-    """Floors of every kind of recording and channel that hears them.
+    """Floors of every kind of recording and channel, as it hears them: gains, phases, or first those and then these.
 
     Parameters
     ----------
@@ -213,11 +213,10 @@ def floors_heard(
     phases : tuple of float
         Of both pick-offs' phases [rad^2/Hz].
     """
-    heard = {key: basis[key][0].shape[1] for key in basis if basis[key][0].shape[1] > _PLAIN_TERMS}
-    of_gains = [key for key, width in heard.items() if width == _OF_WAVES and key[1] in IN_PHASE]
-    gains = gain_floors([(basis[key], squares[key]) for key in of_gains])
-    both = {key: (*gains, *phases) for key, width in heard.items() if width > _OF_WAVES}
-    return {**dict.fromkeys(heard, phases), **dict.fromkeys(of_gains, gains), **both}
+    waves = [key for key, of_key in basis.items() if of_key[0].shape[1] == _OF_WAVES]
+    in_phase = [key for key in waves if key[1] in IN_PHASE]
+    gains = gain_floors([(basis[key], squares[key]) for key in in_phase])
+    return {**dict.fromkeys(basis, (*gains, *phases)), **dict.fromkeys(waves, phases), **dict.fromkeys(in_phase, gains)}
 
 
 def gain_floors(kinds: Sequence[tuple[Sequence[FloatArray], Sequence[FloatArray]]]) -> tuple[float, float]:

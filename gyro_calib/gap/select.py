@@ -214,7 +214,7 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: Screened | 
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [
-            enough(e, largest if len(effects) > 1 else None, beyond_complete(left.chi2, left.dof))
+            enough(e, largest if len(effects) > 1 else None, beyond_complete(left.chi2 + e.gain, left.dof))
             and seen_at_rest(model, effects, e)
             and told_by_several(model, e, [o.candidate for o in effects if o is not e])
             for e in effects
