@@ -216,7 +216,7 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "cross_feedthrough_drift": (FED, lambda r: r.reading(r.t[:, None] * r.u[:, ::-1] * fed(r))),
     "pickoff_phase_drift": ({"g_x": 2e-4, "g_y": 1e-4}, lambda r: r.reading(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
     "centrifugal_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * RATE**2 * r.p),
-    "centrifugal_stiffness_axes": ({"k_x": 0.5, "k_y": 0.2}, lambda r: 1j * RATE**2 * by_axis(r, "k_x", "k_y") * r.p),
+    "centrifugal_stiffness_axes": ({"k_x": 0.5, "k_y": 0.2, "k_s": 0.3}, lambda r: 1j * RATE**2 * r.p @ [[0.5, 0.3], [0.3, 0.2]]),
     "multiplexing_skew": ({"tau": 2e-6}, lambda r: _of_late_y(r)),
     "rate_dependent_damping": ({"c": 0.5}, lambda r: -r.size["c"] * RATE * r.p),
     "angular_gain_error": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * r.p @ TURN.T),

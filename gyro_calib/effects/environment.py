@@ -266,9 +266,12 @@ MOTION = (
     ),
     Effect(
         "centrifugal_stiffness_axes", "Stiffness that changes with the square of the rate, by axis", "environment", (40,),
-        pair("k_x k_y", "rad/s/(rad/s)^2", 0.01, 100.0, "frequency of a wave on the axis per rate squared"),
+        (
+            *pair("k_x k_y", "rad/s/(rad/s)^2", 0.01, 100.0, "frequency of a wave on the axis per rate squared"),
+            signed("k_s", "rad/s/(rad/s)^2", 0.01, 100.0, "half the split across the axes per rate squared"),
+        ),
         ("rate",), BOTH,
-        "p_j' += i k_j Omega^2 p_j",
+        "p_j' += i (k_j p_j + k_s p_k) Omega^2, k the other axis",
         ("centrifugal_stiffness", "thermal_split_lag"),
     ),
     Effect(

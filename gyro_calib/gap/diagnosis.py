@@ -75,13 +75,14 @@ class FoundEffect:
         }
 
     def _by_axis(self) -> list[str]:
-        """The variant by axis, if the axes are less alike than a unit's pick-offs make them."""
+        """The variant by axis, if the axes are less alike than a unit's pick-offs make them, or something acts across them."""
         sizes = list(self.parameters.values())
-        if self.registry_name in self.group or len(sizes) != 2:
+        if self.registry_name in self.group or len(sizes) < 2:
             return []
-        (x, y), apart = sizes, abs(sizes[0].value - sizes[1].value)
-        unlike = apart > max(_UNLIKE_SD * math.hypot(x.sd, y.sd), _UNLIKE * max(abs(x.value), abs(y.value)))
-        return [self.registry_name] if unlike else []
+        (x, y), across = sizes[:2], [q for name, q in self.parameters.items() if name.endswith("_s")]
+        unlike = [(abs(x.value - y.value), math.hypot(x.sd, y.sd)), *((abs(q.value), q.sd) for q in across)]
+        least = _UNLIKE * max(abs(x.value), abs(y.value))
+        return [self.registry_name] if any(by > max(_UNLIKE_SD * sd, least) for by, sd in unlike) else []
 
 
 @dataclass(frozen=True)

@@ -218,7 +218,10 @@ def _stiffness(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:
 
 def _centrifugal(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     pulled = 1j * s.rate_rad_s[:, None] ** 2 * motion(s, d)
-    return _by_axis("flow", "k", pulled) if setting["axes"] else [Part("k", "flow", pulled)]
+    if not setting["axes"]:
+        return [Part("k", "flow", pulled)]
+    _, across, skewed = _anisotropy("k", pulled, 1.0)
+    return [*_by_axis("flow", "k", pulled), across, skewed]
 
 
 def _damping(parameter: str, x: Callable[[Signals], FloatArray]) -> Form:

@@ -102,7 +102,8 @@ class SlowEffects:
             same = same + self._size("charge_accumulation", "k_0") * charged
             split = split + self._pair("charge_accumulation", "k_c", "k_s", charged)
         by_axis = self._pair("centrifugal_stiffness_axes", "k_x", "k_y", rate**2)
-        same, split = same + by_axis.mean(axis=1), split + np.outer(by_axis @ [0.5, -0.5], [1.0, 0.0])
+        across = self._size("centrifugal_stiffness_axes", "k_s") * rate**2
+        same, split = same + by_axis.mean(axis=1), split + np.stack([by_axis @ [0.5, -0.5], across], axis=1)
         r = self._device.resonator
         same = same - r.omega0_rad_s * self._size("clock_drift", "e") * t
         same = same - r.frequency_tempco_per_k * r.omega0_rad_s * self._behind("thermal_lag", rise)
