@@ -238,7 +238,7 @@ EMULATED: tuple[Emulated, ...] = (
     E("frequency by heating", "flow", lambda r, z: 1j * _low_pass((_size(r.motion) ** 2).astype(complex), 12.0, r.row_s) * r.motion),
     E("vibration at 3 Hz", "flow", lambda r, z: 1j * _col(np.sin(2 * np.pi * 3.0 * r.time_s)) * _split(r.motion, z)),
 )
-#: drawn up once the diagnosis had its rules, and none was made for them since but what benchmarks/README.md says
+#: drawn up once the diagnosis had its rules, and none was made for them since but what benchmarks/diagnosis.md says
 UNSEEN: tuple[Emulated, ...] = (
     E("pick-off droop by other axis", "output", lambda r, z: np.abs(_cross(r.pick)) ** 2 * r.pick),
     E("pick-off phase drift", "output", lambda r, z: 1j * np.array([1.0, -0.3]) * _col(r.time_s) * r.pick, ("pickoff_phase_drift",)),

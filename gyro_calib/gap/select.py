@@ -50,7 +50,7 @@ _TWINS_CLOSE = 40.0
 _MOST_EFFECTS = 3
 #: power over the noise that the best set leaves, up to which it is that of the noise; beyond, something is missing
 _LOUDEST = 1.3
-#: log evidence, and the share of it that trials found to name the right group (`benchmarks/README.md`)
+#: log evidence, and the share of it that trials found to name the right group (`benchmarks/diagnosis.md`)
 _EVIDENCES, _TRUST = (30.0, 1000.0), (0.75, 0.92)
 _GOLDEN_STEPS = 8
 #: settings that are refined, rounds of those that have two, and how far beyond the ends of its grid one may lie
