@@ -14,6 +14,7 @@ from gyro_calib.device import Device, draw_unit, load_device
 from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import Diagnosis, diagnose
+from gyro_calib.gap.drifts import parameter_of
 from gyro_calib.gap.evidence import CampaignEvidence
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.noise_law import Lines, fit_law
@@ -48,7 +49,7 @@ def test_every_form_is_an_effect_of_the_registry_with_its_parameters() -> None:
             effect = EFFECTS[form.per_axis if form.per_axis and setting.get("axes") else name]
             known = {p.name for p in effect.parameters} | {"share"}
             parts = form.parts(signals, linear, setting)
-            assert {p.parameter for p in parts if not p.parameter.startswith(SKEW)} <= known, name
+            assert {parameter_of(p.parameter) for p in parts if not p.parameter.startswith(SKEW)} <= known, name
             assert all(p.signal.shape == signals.pick.shape and np.isfinite(p.signal).all() for p in parts), name
 
 

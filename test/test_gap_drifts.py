@@ -11,9 +11,11 @@ import pytest
 from test_gap_courses import clean, with_reading_gain
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.drifts import best_course, drift_settings, drifted, said_course, without_bent
+from gyro_calib.gap.drifts import best_course, drift_settings, drifted, drifting_gains, parameter_of, said_course, walk_sizes, without_bent
 
-SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401))
+SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401), drive=np.ones((401, 2), dtype=complex))
+#: what may walk as well
+WALKING = drifting_gains(1.0, of_drive=True)
 
 
 def test_a_course_is_the_time_of_the_campaign_at_its_end() -> None:
@@ -59,6 +61,52 @@ def test_a_course_bends_where_that_is_more_than_the_chance_of_many(better: float
     beside: Any = SimpleNamespace(screened=screened)
     for here in (tried[0], best):
         assert (best_course(beside, cast(Any, tried), cast(Any, here), lambda c: c) is best) is bends
+
+
+def test_a_walk_is_a_wiener_process() -> None:
+    """Its mean per second and its sines, equally uncertain, have the covariance min(s, t) but for what is faster than the last sine."""
+    *_, walks = WALKING.settings([SIGNALS])
+    parts = WALKING.parts(SIGNALS, cast(Any, None), walks)
+    assert {parameter_of(p.parameter) for p in parts} == {"g_x", "g_y"}
+    assert "walks" in said_course(walks)
+    of_x = np.array([p.signal[:, 0].real / SIGNALS.drive[:, 0].real for p in parts if parameter_of(p.parameter) == "g_x"])
+    t, end = SIGNALS.time_s, SIGNALS.time_s[-1]
+    covariance = of_x.T @ of_x / end
+    assert np.max(np.abs(covariance - np.minimum.outer(t, t))) < 0.03 * end
+
+
+def test_the_size_of_a_walk_is_that_of_its_steps() -> None:
+    """Over many walks: its mean, and its scatter as it claims; an axis that stands has none beyond the noise."""
+    *_, walks = WALKING.settings([SIGNALS])
+    columns = [p.parameter for p in WALKING.parts(SIGNALS, cast(Any, None), walks)]
+    rng = np.random.default_rng(3)
+    size, sd = 2e-4, 1e-6
+    told = []
+    for _ in range(400):
+        own = {c: size / math.sqrt(walks["end_s"]) if "x" in c else 0.0 for c in columns}
+        drawn = {c: (float(rng.normal(0.0, math.hypot(s, sd))), sd) for c, s in own.items()}
+        told.append(walk_sizes(walks, drawn, "rad/s"))
+    of_x = np.array([t["walk_x"].value for t in told])
+    assert told[0]["walk_x"].unit == "rad/sqrt(s)"
+    assert np.sqrt(np.mean(of_x**2)) == pytest.approx(size, rel=0.05)
+    assert np.std(of_x) == pytest.approx(np.mean([t["walk_x"].sd for t in told]), rel=0.15)
+    assert np.median([t["walk_y"].value / t["walk_y"].sd for t in told]) < 2.0
+    assert walk_sizes({}, {}, "1/s") == {}
+
+
+@pytest.mark.slow
+def test_a_gain_that_walks_has_its_name() -> None:
+    """Its floor within the records is no second effect, nor is what it does faster than its sines something without a name."""
+    start = min(float(r.t[0]) for r in clean())
+    time_s = np.arange(0.0, max(float(r.t[-1]) for r in clean()) - start, 0.05)
+    steps = np.random.default_rng(6).standard_normal(time_s.size)
+    walk = 3e-5 * np.cumsum(steps) * math.sqrt(0.05)
+    found = diagnose(with_reading_gain(lambda r, begun: np.interp(r.t - begun, time_s, walk)))
+    assert [e.name for e in found.effects] == ["pickoff_gain_drift"]
+    assert found.verdict == "effects"
+    assert "walks" in found.effects[0].title
+    size = found.effects[0].parameters["walk_y"]
+    assert abs(size.value - 3e-5) < 3.0 * size.sd < 6e-5
 
 
 @pytest.mark.slow

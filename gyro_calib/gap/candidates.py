@@ -9,6 +9,7 @@ import numpy as np
 from ..effects import EFFECTS
 from .column import Column
 from .columns import form_columns, forms_columns
+from .drifts import parameter_of
 from .evidence import CampaignEvidence
 from .forms import FORMS
 from .one_axis import heard
@@ -80,7 +81,7 @@ def _candidate(name: str, setting: Setting, columns: Sequence[Column], choices: 
     effect = EFFECTS[registry_name(name, setting)]
     typical = {p.name: p.typical for p in effect.parameters if p.name not in setting}
     # a share multiplies an effect whose size is its setting: it is one when that is right
-    prior = {c.name: _PRIOR_WIDTH * typical[c.name] if c.name in typical else 1.0 for c in columns}
+    prior = {c.name: _PRIOR_WIDTH * typical[of] if (of := parameter_of(c.name)) in typical else 1.0 for c in columns}
     if sizes is None:
         prior |= {c.name: UNEQUAL * _PRIOR_WIDTH * max(typical.values()) for c in columns if c.name.startswith(REST)}
     else:

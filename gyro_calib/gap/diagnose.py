@@ -18,7 +18,7 @@ from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
-from .flicker_effects import FLICKERS, with_flickers
+from .flicker_effects import FLICKERS, with_flickers, without_walked
 from .flow_left import FlowLeft, flows_left
 from .gap_map import gap_map
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
@@ -104,6 +104,7 @@ def diagnose(
     selection = _without_products(model, selection, beside)
     beside = _swaying_at_rest(beside, flows) if selection.effects else beside
     chosen = [e.candidate for e in selection.effects]
+    beside = without_walked(beside, chosen)
     rich = model.fitted(chosen) if chosen else model.base
     report(0.88, "unseen experiments")
     shrunk = shrinkage(model, chosen)

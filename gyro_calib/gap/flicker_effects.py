@@ -9,14 +9,16 @@ from dataclasses import replace
 from ..effects import EFFECTS
 from ..quantity import Quantity
 from .diagnosis import FoundEffect, Standing
+from .drifts import walks_in
 from .evidence import CampaignEvidence
 from .flickers import DRIVE_FLICKERS, PICKOFF_FLICKERS, drive_flicker, pickoff_flicker, tells_drives
 from .parts import Linear
 from .phase_floors import PHASE_FLICKERS
+from .screen import Candidate
 from .spectral_effects import SpectralEffects, found_beside
 from .system import NoiseByRole
 
-__all__ = ["FLICKERS", "with_flickers"]
+__all__ = ["FLICKERS", "with_flickers", "without_walked"]
 
 FLICKERS = ("pickoff_gain_flicker", "drive_gain_flicker", "pickoff_phase_flicker")
 _PICKOFF, _DRIVE, _PHASE = FLICKERS
@@ -28,6 +30,8 @@ _GAIN = 36.0
 #: chi-square that loops which follow such a gain leave in the slow flow, at the least that counts; it goes with the power: 173 at 7.6e-5
 #: of the pick-offs, 94 at 3e-4 of the drives
 _LEFT = {_PICKOFF: 8.0, _DRIVE: 30.0, _PHASE: 0.0}
+#: where each stands
+_STANDS = {_PICKOFF: ("pick-off", "in phase"), _DRIVE: ("drive", "in phase"), _PHASE: ("pick-off", "in quadrature")}
 #: what it may have been taken for
 _ALIKE = {_PICKOFF: ("amplitude_noise",), _DRIVE: ("amplitude_noise",), _PHASE: ()}
 
@@ -64,6 +68,21 @@ def with_flickers(
             products = max(beside.products, _LEFT[name] * (max(of_axes) / least) ** 2)
             beside = replace(beside, effects=(*kept, _found(name, of_axes, least)), standings=standings, unknown=None, products=products)
     return beside
+
+
+def without_walked(beside: SpectralEffects, chosen: Iterable[Candidate]) -> SpectralEffects:
+    """Without the floors of what walks: a gain that walks moves within the records as well.
+
+    Parameters
+    ----------
+    beside : SpectralEffects
+    chosen : iterable of Candidate
+        Effects of the slow flow.
+    """
+    walked = walks_in(chosen)
+    dropped = {name for name in FLICKERS if _STANDS[name] in walked}
+    standings = tuple(replace(s, status="excluded") if s.name in dropped else s for s in beside.standings)
+    return replace(beside, effects=tuple(e for e in beside.effects if e.name not in dropped), standings=standings)
 
 
 def _found(name: str, sizes: tuple[float, float], least: float) -> FoundEffect:

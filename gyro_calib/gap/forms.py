@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .drifts import drift_settings, drifted, drifting_feedthrough
+from .drifts import drift_settings, drifted, drifting_feedthrough, drifting_gains
 from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
@@ -305,14 +305,6 @@ def _read_by_axis(letter: str, f: Callable[[Signals, ComplexArray], ComplexArray
     return Form(lambda s, d, g: _of_each_reading(letter, s, d, lambda v: f(s, v)))
 
 
-def _drifting_drive(factor: complex) -> Form:
-    return Form(lambda s, d, g: _by_axis("drive", "g", factor * drifted(s, g)[:, None] * s.drive), drift_settings)
-
-
-def _drifting_reading(factor: complex) -> Form:
-    return Form(lambda s, d, g: _of_each_reading("g", s, d, lambda v: factor * drifted(s, g)[:, None] * v), drift_settings)
-
-
 def _rate(s: Signals) -> FloatArray:
     return s.rate_rad_s
 
@@ -385,10 +377,10 @@ FORMS: dict[str, Form] = {
     "bias_drift": Form(lambda s, d, g: _as_rate("b", s, d, drifted(s, g)), drift_settings),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
-    "drive_gain_drift": _drifting_drive(1.0),
-    "drive_phase_drift": _drifting_drive(1j),
-    "pickoff_gain_drift": _drifting_reading(1.0),
-    "pickoff_phase_drift": _drifting_reading(1j),
+    "drive_gain_drift": drifting_gains(1.0, of_drive=True),
+    "drive_phase_drift": drifting_gains(1j, of_drive=True),
+    "pickoff_gain_drift": drifting_gains(1.0, of_drive=False),
+    "pickoff_phase_drift": drifting_gains(1j, of_drive=False),
     "feedthrough_drift": Form(lambda s, d, g: drifting_feedthrough(s, g, across=False), drift_settings),
     "cross_feedthrough_drift": Form(lambda s, d, g: drifting_feedthrough(s, g, across=True), drift_settings),
     "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),

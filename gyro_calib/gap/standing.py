@@ -11,6 +11,7 @@ from ..effects import EFFECTS, INSEPARABLE
 from ..quantity import Quantity
 from .candidates import registry_name
 from .diagnosis import Standing
+from .drifts import parameter_of
 from .forms import FORMS
 from .model import CampaignModel
 from .parts import SKEW
@@ -62,7 +63,13 @@ def _like(known: Standing, other: str) -> Standing:
 def _best(model: CampaignModel, screener, name: str) -> Screened | None:  # type: ignore[no-untyped-def]
     found = screener.screened(model.candidates.get(name, ()))
     # the setting at which it is seen best
-    return min(found, key=lambda s: float(np.min(s.sd / s.candidate.prior_sd))) if found else None
+    return min(found, key=_least_seen) if found else None
+
+
+def _least_seen(found: Screened) -> float:
+    """Smallest sd of a parameter over its prior's."""
+    own = [c.name == parameter_of(c.name) for c in found.candidate.columns]
+    return float(np.min((found.sd / found.candidate.prior_sd)[own]))
 
 
 def _status(found: Screened) -> tuple[str, Quantity | None]:
@@ -74,7 +81,7 @@ def _status(found: Screened) -> tuple[str, Quantity | None]:
     limits = sorted(
         (_SEEN * float(sd) / effect.parameter(c.name).typical, float(sd), effect.parameter(c.name).unit)
         for c, sd in zip(found.candidate.columns, found.sd, strict=True)
-        if not c.name.startswith(SKEW)
+        if not c.name.startswith(SKEW) and c.name == parameter_of(c.name)
     )
     (least, *_), (ratio, sd, unit) = limits[0], limits[-1]
     size = Quantity(_SEEN * sd, sd, unit)

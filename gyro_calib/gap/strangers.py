@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .anonymous import HEATED, LOCATIONS, Anonymous
+from .drifts import walks_in
 from .floors import beside_wander, louder_floors
 from .kin import nearest_known
 from .model import CampaignModel
@@ -209,7 +210,9 @@ def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Scre
 def _unnamed(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:
     """Unnamed terms beside what a screener holds, and of the courses of time and temperature the best."""
     found, course = bank_terms(model, screener, chosen), model.courses.best(screener, model.whitener)
-    return [*found, course] if course is not None and _no_floors(model, chosen, [course[0]]) else found
+    if course is None or (course[1].location, course[1].phase) in walks_in(chosen):
+        return found
+    return [*found, course] if _no_floors(model, chosen, [course[0]]) else found
 
 
 def bank_terms(model: CampaignModel, screener: Screener, chosen: Sequence[Candidate] = ()) -> list[tuple[Screened, Anonymous]]:

@@ -15,6 +15,7 @@ import numpy as np
 from ..effects import EFFECTS
 from ..quantity import Quantity
 from .candidates import registry_name
+from .drifts import walk_sizes
 from .model import CampaignModel
 from .screen import Screened, Screener
 from .settings_together import places_of, with_slopes
@@ -59,11 +60,11 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
     settled |= {key: _Settled(math.sqrt(covariance[j, j]) * abs(e.candidate.setting[key]), {}) for key, j in joint.items()}
     healthy = {c.name: c.prior_sd for c in model.nuisances if math.isfinite(c.prior_sd)}
     fitted = {c.name: j for j, c in enumerate(rich.columns)}
-    told = {}
+    told, places_in_fit = {}, {c.name: fitted[f"{e.name}.{c.name}"] for c in e.candidate.columns}
     for column in e.candidate.columns:
         if column.name not in units and column.name != "share":
             continue
-        place = fitted[f"{e.name}.{column.name}"]
+        place = places_in_fit[column.name]
         parts = [math.sqrt(float(covariance[place, place])), healthy.get(f"{e.name}.{column.name}", 0.0)]
         if e.name != "thermal_lag":
             parts += [s.slopes.get(column.name, 0.0) * s.sd for s in settled.values()]
@@ -75,6 +76,8 @@ def told_sizes(model: CampaignModel, effects: tuple[Screened, ...], k: int, rich
         # a short lag is known by the product of the time that was tried and its share alone, and a healthy thermometer has one of its own
         share, tried = told.pop("share"), told["tau"]
         told["tau"] = Quantity(share.value * tried.value, math.hypot(share.sd * tried.value, healthy.get(f"{e.name}.tau", 0.0)), tried.unit)
+    every = {name: (float(rich.values[j]), math.sqrt(float(covariance[j, j]))) for name, j in places_in_fit.items()}
+    told |= walk_sizes(e.candidate.setting, every, next(iter(units.values())))
     if e.name == "multiplexing_skew":
         told["tau"] = _of_its_tangent(told["tau"], model.evidence.omega0_rad_s)
     return told
