@@ -63,26 +63,33 @@ def test_an_image_that_moves_away_has_no_columns() -> None:
     assert mirror_of(14_971.3) is None
 
 
-def image_sizes(name: str, frequency_hz: float, plan: Callable[..., Plan]) -> tuple[CampaignModel, list[str], FloatArray, FloatArray]:
-    """A quiet device at a frequency, sample by sample: its look, the images' columns, and each image's size and its sd."""
+def looked_at_quiet(name: str, frequency_hz: float, plan: Callable[..., Plan], *, multiplexed: bool = False) -> CampaignModel:
+    """A quiet device at a frequency, sample by sample, and its look. A drive in a slot has the volts of four."""
     device = draw_unit(load_device(name), 5)
     device = replace(
         device,
         resonator=replace(device.resonator, frequency_hz=frequency_hz),
+        electronics=replace(device.electronics, dac_full_scale_v=25.0 if multiplexed else device.electronics.dac_full_scale_v),
+        multiplexing=replace(device.multiplexing, enabled=multiplexed),
         noise=replace(device.noise, pickoff_v_rthz=2e-8, drive_v_rthz=2e-8, drive_flicker_v=0.0, thermomechanical=False),
     )
     instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"))
-    model = looked_at(run_plan(instrument, plan(device.factory(), quality="quick")))
-    places = [k for k, c in enumerate(model.base.columns) if c.name.startswith("image_")]
+    return looked_at(run_plan(instrument, plan(device.factory(), quality="quick")))
+
+
+def image_sizes(model: CampaignModel, image: str = "image_") -> tuple[list[str], FloatArray, FloatArray]:
+    """Columns of images, and each image's size and its sd."""
+    places = [k for k, c in enumerate(model.base.columns) if c.name.startswith(image)]
     values, covariance = model.base.values[places].reshape(-1, 2), model.base.covariance[np.ix_(places, places)]
     sizes, sds = np.linalg.norm(values, axis=1), np.sqrt(np.diag(covariance)).reshape(-1, 2).max(axis=1)
-    return model, [model.base.columns[k].name for k in places], sizes, sds
+    return [model.base.columns[k].name for k in places], sizes, sds
 
 
 @pytest.mark.slow
 def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
     """A ring at half of three times its loops' rate; a phase depends on where its record begins."""
-    model, names, sizes, sds = image_sizes("ring_15k", CARRIER_HZ, gap_ftr_plan)
+    model = looked_at_quiet("ring_15k", CARRIER_HZ, gap_ftr_plan)
+    names, sizes, sds = image_sizes(model)
     excited = [r.index for r in model.evidence if r.is_wave and r.recording.command.excitation.kind != "none"]
     assert names == [f"image_{i}_{part}" for i in excited for part in ("re", "im")]
     assert np.all(np.abs(sizes - 1.0) < 3.0 * sds)
@@ -92,7 +99,19 @@ def test_the_carrier_s_images_have_the_size_of_the_formula() -> None:
 @pytest.mark.slow
 def test_the_drives_of_a_wave_that_turns_have_their_image_too() -> None:
     """A hemisphere, twice whose frequency is 0.6 Hz from a multiple of its loops' rate: the fastest line of its fastest turns."""
-    _, _, sizes, sds = image_sizes("hrg_hardware", CARRIER_OF_HEMISPHERE_HZ, gap_whole_angle_plan)
+    _, sizes, sds = image_sizes(looked_at_quiet("hrg_hardware", CARRIER_OF_HEMISPHERE_HZ, gap_whole_angle_plan))
     seen = sds < 0.3
     assert seen.any()
     assert np.all(np.abs(sizes[seen] - 1.0) < 3.0 * sds[seen])
+
+
+@pytest.mark.slow
+def test_what_takes_turns_has_the_image_of_its_voltage() -> None:
+    """A multiplexed hemisphere, twice whose frequency is 0.2 Hz from a multiple of its loops' rate."""
+    model = looked_at_quiet("hrg_hardware", 5000.1, gap_whole_angle_plan, multiplexed=True)
+    _, held, held_sds = image_sizes(model)
+    assert held_sds.min() < 0.03
+    assert np.all(held < 4.0 * held_sds)
+    _, sizes, sds = image_sizes(model, "slot_image_")
+    assert sds.max() < 0.02
+    np.testing.assert_allclose(sizes, 1.0, atol=0.06)
