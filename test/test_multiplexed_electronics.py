@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from wave_samples import amplitude, design_gain, in_wave_frame, low_q_hrg, simulate, whole_angle
 
-from gyro_calib.device import Feedthrough, Multiplexing
+from gyro_calib.device import Feedthrough, Multiplexing, load_device
 from gyro_calib.device.wave_point import wave_point
 from gyro_calib.errors import DeviceError
+from gyro_calib.experiments import gap_plan
 
 BOTH = pytest.mark.parametrize("fidelity", ["slow_flow", "carrier"])
 
@@ -104,3 +105,16 @@ def test_a_late_drive_is_as_late_in_its_slot(effect: dict[str, dict[str, float]]
     tau = next(iter(next(iter(effect.values())).values()))
     expected = -base.resonator.decay_rate() * found[0] * tau
     np.testing.assert_allclose(found[1] - found[0], expected, rtol=0.005)
+
+
+def test_a_plan_keeps_within_what_a_slot_can_give() -> None:
+    """A drive that is on for a fifth of the time has a fifth of the range, and takes five times as long to put a wave elsewhere."""
+    base = load_device("hrg_hardware")
+    single = replace(base, multiplexing=Multiplexing(enabled=True, settling_share=0.2))
+    assert single.factory()["dac_full_scale_V"] == pytest.approx(0.2 * base.factory()["dac_full_scale_V"])
+    plans = [gap_plan(d.factory(), quality="quick") for d in (base, single)]
+    most, most_single = (max(abs(s.command.setpoints.virtual_precession_v) for s in p.steps) for p in plans)
+    assert most_single < 0.2 * 5.0 < most
+    first, first_single = (next(s.settle_s for s in p.steps if s.command.mode == "ftr_x") for p in plans)
+    turn_s = 0.25 * math.pi * abs(base.factory_data.nominal_scale_factor_x_v_per_rad_s) / (base.factory_data.angular_gain_kappa * 1.0)
+    assert first_single > 1.5 * turn_s > first

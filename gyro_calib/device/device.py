@@ -208,7 +208,8 @@ class Device:
             "nominal_f0_hz": f.nominal_f0_hz,
             "nominal_q": f.nominal_q,
             "reference_temperature_degC": self.resonator.reference_temperature_degc,
-            "dac_full_scale_V": self.electronics.dac_full_scale_v,
+            # drives are recorded as their means
+            "dac_full_scale_V": self.electronics.dac_full_scale_v * self.multiplexing.drive_share,
             "adc_full_scale_V": self.electronics.adc_full_scale_v,
             "nominal_scale_factor_v_per_rad_s": {
                 "x": f.nominal_scale_factor_x_v_per_rad_s,

@@ -87,6 +87,11 @@ class Multiplexing:
         if self.settling_share > 0.9:
             raise DeviceError(f"Multiplexing settling_share must be at most 0.9, but got {self.settling_share!r}.")
 
+    @property
+    def drive_share(self) -> float:
+        """Share of the time that a drive is on: of the converter's range, what a commanded mean may have."""
+        return (1.0 - self.settling_share) / SLOTS if self.enabled else 1.0
+
 
 @dataclass(frozen=True)
 class Loops:

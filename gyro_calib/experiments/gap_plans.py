@@ -81,6 +81,8 @@ WAVE_CONDITIONS = ((1.0, 1.0), (1.0, 1.0), (0.6, 1.0), (1.4, 1.0), (1.0, 0.5), (
 _ONWARD = 0.25
 #: for the loops after a change of the oscillator axis and after another command; of a resonator that rings on for minutes [s]
 _SETTLE_S, _SLOW_SETTLE_S = (3.0, 1.5), (PLACE_SETTLE_S, 4.0)
+#: turns from axis to axis that a wave is given: its drive is not at the end of its range all the way
+_TURNS = 2.0
 
 
 def gap_plan(factory: Mapping[str, Any], **options: Any) -> Plan:
@@ -296,6 +298,7 @@ def _settled(steps: Iterable[Step], factory: Mapping[str, Any]) -> list[Step]:
     """
     slow = nominal_decay(factory) * _SETTLE_S[0] < 1.0
     moved_s, else_s = _SLOW_SETTLE_S if slow else _SETTLE_S
+    moved_s = max(moved_s, else_s + _TURNS * _turn_s(factory))
     settled: list[Step] = []
     before: Command | None = None
     for step in steps:
@@ -307,6 +310,13 @@ def _settled(steps: Iterable[Step], factory: Mapping[str, Any]) -> list[Step]:
         settled.append(step)
         before = step.command
     return settled
+
+
+def _turn_s(factory: Mapping[str, Any]) -> float:
+    """Time in which a drive at the end of its range turns a wave from one axis to the other; zero where the factory does not tell."""
+    scale = factory.get("nominal_scale_factor_v_per_rad_s") or {}
+    most = max((abs(float(v)) for v in scale.values()), default=0.0)
+    return 0.25 * math.pi * most / (_dac_v(factory) * float(factory.get("angular_gain_kappa", 1.0)))
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------------------------

@@ -101,8 +101,7 @@ def loop_parameters(device: Device, command: Command) -> FloatArray:
         param[kp] = crossover / scale
         param[ki] = (0.5 * crossover) ** 2 / scale
     # a multiplexed drive is on for a share of the time and gives the rest in advance
-    on_share = (1.0 - device.multiplexing.settling_share) / SLOTS if device.multiplexing.enabled else 1.0
-    param[c.P_FULL_SCALE] = device.electronics.dac_full_scale_v * on_share
+    param[c.P_FULL_SCALE] = device.electronics.dac_full_scale_v * device.multiplexing.drive_share
     param[c.P_COMP : c.P_COMP + 4] = command.compensation
     param[c.P_REBALANCE] = command.setpoints.rebalance
     param[c.P_PERIOD] = (SLOTS if device.multiplexing.enabled else 1) / device.electronics.control_rate_hz
