@@ -11,7 +11,18 @@ import pytest
 from test_gap_courses import clean, with_reading_gain
 
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.drifts import best_course, drift_settings, drifted, drifting_gains, parameter_of, said_course, walk_sizes, without_bent
+from gyro_calib.gap.drifts import (
+    best_course,
+    drift_settings,
+    drifted,
+    drifting_damping,
+    drifting_gains,
+    parameter_of,
+    said_course,
+    walk_sizes,
+    without_bent,
+)
+from gyro_calib.gap.parts import SKEW, UNEQUAL
 
 SIGNALS: Any = SimpleNamespace(time_s=np.linspace(0.0, 400.0, 401), drive=np.ones((401, 2), dtype=complex))
 #: what may walk as well
@@ -73,6 +84,17 @@ def test_a_walk_is_a_wiener_process() -> None:
     t, end = SIGNALS.time_s, SIGNALS.time_s[-1]
     covariance = of_x.T @ of_x / end
     assert np.max(np.abs(covariance - np.minimum.outer(t, t))) < 0.03 * end
+
+
+def test_a_damping_that_drifts_may_take_its_anisotropy_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A leak that scales all of a damping is its drift and, as large as it, what comes with that."""
+    moved = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]]) + 0j
+    monkeypatch.setattr("gyro_calib.gap.drifts.velocity", lambda s, d: moved)
+    damping = 0.08 * np.array([[1.02, 0.01], [0.01, 0.98]])
+    s: Any = SimpleNamespace(time_s=np.array([1.0, 2.0, 3.0]))
+    alike, anisotropy = drifting_damping(s, cast(Any, SimpleNamespace(A=-damping + 0.3j * np.eye(2))), {})
+    assert (alike.parameter, anisotropy.parameter) == ("c", f"{SKEW}_anisotropy")
+    np.testing.assert_allclose(alike.signal + UNEQUAL * anisotropy.signal, -s.time_s[:, None] * (moved @ damping.T) / 0.08)
 
 
 def test_the_size_of_a_walk_is_that_of_its_steps() -> None:

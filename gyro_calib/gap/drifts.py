@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..quantity import Quantity
-from .parts import Form, Linear, Part, Setting, one_axis, read_at_once
+from .parts import Form, Linear, Part, Setting, beside, one_axis, read_at_once, velocity
 from .signals import Signals
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ __all__ = [
     "best_course",
     "drift_settings",
     "drifted",
+    "drifting_damping",
     "drifting_feedthrough",
     "drifting_gains",
     "parameter_of",
@@ -147,6 +148,14 @@ def walk_sizes(setting: Setting, sizes: Mapping[str, tuple[float, float]], unit:
 def parameter_of(column: str) -> str:
     """Parameter whose prior a column has: its own, or that of the walk that it is a sine of."""
     return column.split(_SINE)[0]
+
+
+def drifting_damping(s: Signals, d: Linear, setting: Setting) -> list[Part]:
+    """Damping that drifts alike along all directions, and its anisotropy, which may do so in proportion."""
+    lost = -drifted(s, setting)[:, None] * velocity(s, d)
+    damping = -0.5 * (d.A + d.A.conj().T).real
+    anisotropy = damping / (0.5 * np.trace(damping)) - np.eye(2)
+    return [Part("c", "flow", lost), beside("anisotropy", "flow", lost @ anisotropy.T)]
 
 
 def drifting_feedthrough(s: Signals, setting: Setting, *, across: bool) -> list[Part]:

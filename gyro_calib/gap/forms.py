@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .drifts import drift_settings, drifted, drifting_feedthrough, drifting_gains
+from .drifts import drift_settings, drifted, drifting_damping, drifting_feedthrough, drifting_gains
 from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
 from .memory import behind, remembered
@@ -373,7 +373,7 @@ FORMS: dict[str, Form] = {
     "thermal_pickoff_gain_lag": Form(_lagging_pickoff, _WARM_UP),
     "thermal_feedthrough": Form(_fed_by_warmth),
     "frequency_ageing": _stiffness("k", _late),
-    "damping_drift": Form(lambda s, d, g: [Part("c", "flow", -drifted(s, g)[:, None] * velocity(s, d))], drift_settings),
+    "damping_drift": Form(drifting_damping, drift_settings),
     "bias_drift": Form(lambda s, d, g: _as_rate("b", s, d, drifted(s, g)), drift_settings),
     "split_drift": Form(lambda s, d, g: _anisotropy("k", _late(s)[:, None] * motion(s, d), 1j)),
     "charge_accumulation": Form(_charge, _campaign_times),
