@@ -121,11 +121,21 @@ def across_gap(r: Rows) -> ComplexArray:
 
 
 def coupled(r: Rows) -> ComplexArray:
-    """First harmonics of ``3 x^2 y, x^3`` and ``y^3, 3 x y^2`` over those of a cube: samples over a turn, not the closed form."""
+    """Forces of ``x^3 y`` and ``x y^3``."""
+    return 1j * _coupled(r.p, r.size["k_x"], r.size["k_y"])
+
+
+def turned_cubes(r: Rows) -> ComplexArray:
+    """Cubes against the velocity of each axis, and those of axes that are turned."""
+    return -by_axis(r, "c_x", "c_y") * cubes(r.p) - _coupled(r.p, r.size["c_xy"], r.size["c_yx"], r.size["c_xxyy"])
+
+
+def _coupled(p: ComplexArray, xy: float, yx: float, both: float = 0.0) -> ComplexArray:
+    """First harmonics of ``3 x^2 y, x^3``, ``y^3, 3 x y^2`` and ``x y^2, x^2 y`` over those of a cube, by samples over a turn."""
     turn = np.exp(1j * 2.0 * np.pi * np.arange(16) / 16)[:, None]
-    x, y = ((r.p[:, k] * turn).real for k in range(2))
-    forces = r.size["k_x"] * np.stack([3.0 * x**2 * y, x**3]) + r.size["k_y"] * np.stack([y**3, 3.0 * x * y**2])
-    return np.asarray(1j * 4.0 / 3.0 * 2.0 * (forces * turn.conj()).mean(axis=1).T)
+    x, y = ((p[:, k] * turn).real for k in range(2))
+    forces = xy * np.stack([3.0 * x**2 * y, x**3]) + yx * np.stack([y**3, 3.0 * x * y**2]) + both * np.stack([x * y**2, x**2 * y])
+    return np.asarray(4.0 / 3.0 * 2.0 * (forces * turn.conj()).mean(axis=1).T)
 
 
 def isotropic(p: ComplexArray) -> ComplexArray:

@@ -1,7 +1,6 @@
 """Every effect of the registry at the carrier against its closed form in envelopes, as the catalogue states it.
 
-The carrier's rows give ``p' - (A - i dw) p - G u``; A, G and E are those of the device without the effect, what is left is the effect. The
-forms are written here anew, from the catalogue's words: neither the kernels nor the slow flow's envelopes are asked.
+The carrier's rows give ``p' - (A - i dw) p - G u``, with A, G and E of the device without it. The forms are written anew: nobody is asked.
 """
 
 from __future__ import annotations
@@ -37,6 +36,7 @@ from effect_samples import (
     slope,
     slow,
     split,
+    turned_cubes,
 )
 
 from gyro_calib.device import Device
@@ -60,7 +60,7 @@ STATIC: dict[str, tuple[dict[str, float], Form]] = {
     "cubic_cross_stiffness_axes": ({"k_x": 0.5, "k_y": -0.3}, coupled),
     "cubic_cross_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * cubes(r.p)[:, ::-1]),
     "nonlinear_damping": ({"c": 0.5}, lambda r: -r.size["c"] * isotropic(r.p)),
-    "nonlinear_damping_axes": ({"c_x": 0.5, "c_y": 0.8}, lambda r: -by_axis(r, "c_x", "c_y") * cubes(r.p)),
+    "nonlinear_damping_axes": ({"c_x": 0.5, "c_y": 0.8, "c_xy": 0.2, "c_yx": -0.1, "c_xxyy": 0.3}, turned_cubes),
     "coulomb_friction_axes": ({"c_x": 0.3, "c_y": 0.5}, lambda r: -by_axis(r, "c_x", "c_y") * r.p / np.abs(r.p)),
     "parametric_pump": ({"h_c": 0.3, "h_s": 0.5}, lambda r: complex(r.size["h_c"], r.size["h_s"]) * r.p.conj()),
     "parametric_pump_axes": ({"h_xc": 0.3, "h_xs": 0.5, "h_yc": -0.2, "h_ys": 0.4}, lambda r: pumps(r) * r.p.conj()),

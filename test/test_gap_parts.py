@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from gyro_calib.gap.cubic_forms import cube
 from gyro_calib.gap.flow_left import rows_left
-from gyro_calib.gap.forms import FORMS, behind, cube
+from gyro_calib.gap.forms import FORMS, behind
 from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once, unexplained
 from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.gap.warm_forms import _HALF_PER_K, _LATE_S

@@ -134,7 +134,7 @@ def test_effects_found_replace_those_tested_and_leave_the_others():
     assert patched.effects == {
         "thermal_lag": {"tau": 20.0},
         "thermal_drive_gain": {"g_x": 1e-4, "g_y": 2e-4},
-        "nonlinear_damping_axes": {"c_x": 0.01, "c_y": 0.02},
+        "nonlinear_damping_axes": {"c_x": 0.01, "c_y": 0.02, "c_xy": 0.0, "c_yx": 0.0, "c_xxyy": 0.0},
     }
     assert (patched.nonlinearity.cubic_isotropic, patched.nonlinearity.damping_quadratic) == (0.0, 0.0)
     assert patched.drive.gain_tempco_per_k == 0.0

@@ -52,9 +52,15 @@ DYNAMICS = (
     ),
     Effect(
         "nonlinear_damping_axes", "Damping that grows with the square of the velocity, by axis", "dynamics", (9,),
-        pair("c_x c_y", "1/s/V^2", 0.01, 5.0, "decay rate of a wave on the axis per amplitude squared"),
+        (
+            *pair("c_x c_y", "1/s/V^2", 0.01, 5.0, "decay rate of a wave on the axis per amplitude squared"),
+            signed("c_xy", "1/s/V^2", 0.01, 5.0, "of axes that are turned: what x does to y per amplitude squared"),
+            signed("c_yx", "1/s/V^2", 0.01, 5.0, "of axes that are turned: what y does to x per amplitude squared"),
+            signed("c_xxyy", "1/s/V^2", 0.01, 5.0, "of axes that are turned: what each does to the other one's own motion, likewise"),
+        ),
         ("amplitudes",), BOTH,
-        "p_j' += -c_j |p_j|^2 p_j; force -c3j v_j^3",
+        "p_j' += -c_j |p_j|^2 p_j - c_kj |p_k|^2 p_k - c_jk (2 |p_j|^2 p_k + p_j^2 p_k*) - c_xxyy (2 |p_k|^2 p_j + p_k^2 p_j*)/3, "
+        "k the other axis; force -d/dv of c3x v_x^4/4 + c3y v_y^4/4 + c3xy v_x^3 v_y + c3yx v_x v_y^3 + c3xxyy v_x^2 v_y^2/2",
         ("nonlinear_damping", "pickoff_nonlinearity", "drive_nonlinearity"),
     ),
     Effect(

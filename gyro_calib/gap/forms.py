@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .cubic_forms import across_axes, conjugate_product, cube, isotropic_cubic, of_turned_axes, square
 from .drifts import drift_settings, drifted, drifting_damping, drifting_feedthrough, drifting_gains
 from .electrostatic import across_gap, softened
 from .levels import clipped, dead_drive, dead_settings, limit_settings
@@ -23,10 +24,12 @@ from .pumps import driven_pump, steady_pump
 from .signals import Signals
 from .warm_forms import bent_damping, turned_drive, turned_reading
 
-__all__ = ["AT_REST", "FORMS", "conjugate_product", "cube"]
+__all__ = ["AT_REST", "FORMS"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+#: setting of a variant by axis whose axes are not the electrodes'
+_TURNED = 2.0
 #: how pick-offs differ: gain and phase of one over the other, and what each reads of the other's motion
 _UNLIKE: dict[str, ComplexArray] = {
     "gain": np.diag([-0.5, 0.5]).astype(np.complex128),
@@ -44,37 +47,18 @@ _STEP = 1e-4
 AT_REST = 3e-3
 
 
-def cube(x: ComplexArray) -> ComplexArray:
-    """|x_j|^2 x_j of each axis."""
-    return np.asarray(np.abs(x) ** 2 * x)
-
-
-def _square(x: ComplexArray) -> FloatArray:
-    """|x|^2 of both axes, shape (n, 1)."""
-    return np.asarray(np.sum(np.abs(x) ** 2, axis=1)[:, None])
-
-
-def conjugate_product(x: ComplexArray) -> ComplexArray:
-    """(x . x) x*: what a conservative isotropic cubic force has beside |x|^2 x."""
-    return np.asarray(np.sum(x * x, axis=1)[:, None] * x.conj())
-
-
-def _isotropic_cubic(x: ComplexArray) -> ComplexArray:
-    return (2.0 * _square(x) * x + conjugate_product(x)) / 3.0
-
-
 def _quadratic(p: ComplexArray) -> ComplexArray:
     """Fundamental of |v| v: the quadrature of an elliptic wave is damped half as much as its amplitude."""
-    size = np.sqrt(_square(p)) + 1e-9
+    size = np.sqrt(square(p)) + 1e-9
     return (3.0 * size * p + conjugate_product(p) / size) / 4.0
 
 
 def _dry(p: ComplexArray) -> ComplexArray:
     """Fundamental of v/|v|: along the wave its direction, across it ``ln(4 a/q) - 1`` times the quadrature over the amplitude."""
-    size = np.sqrt(_square(p)) + 1e-9
+    size = np.sqrt(square(p)) + 1e-9
     turned = conjugate_product(p) / size**2
     along, across = 0.5 * (p + turned), 0.5 * (p - turned)
-    widths = [np.sqrt(_square(x)) + 1e-9 * size for x in (along, across)]
+    widths = [np.sqrt(square(x)) + 1e-9 * size for x in (along, across)]
     return (along + (np.log(4.0 * widths[0] / widths[1]) - 1.0) * across) / size
 
 
@@ -166,22 +150,26 @@ def _skewed(
     return parts
 
 
-def _cubic(letter: str, factor: complex, per_axis: str) -> Form:
-    """A cubic force, isotropic or along each axis: one effect in two variants, the second with a name of its own."""
+def _cubic(letter: str, factor: complex, per_axis: str, *, turns: bool = False) -> Form:
+    """A cubic force, isotropic or along each axis: one effect in two variants, the second, whose axes may be turned, with its own name."""
 
     def parts(s: Signals, d: Linear, setting: Setting) -> list[Part]:
         p = motion(s, d)
         if not setting["axes"]:
-            return [Part(letter, "flow", factor * _isotropic_cubic(p)), *_skewed(p, _isotropic_cubic, factor)]
+            return [Part(letter, "flow", factor * isotropic_cubic(p)), *_skewed(p, isotropic_cubic, factor)]
         # gains and phases of single axes leave a cube of that axis what it is
         crossed = [
             replace(part, parameter=f"{part.parameter}_{a}")
             for axis, a in zip(np.eye(2), "xy", strict=True)
             for part in _skewed(p, lambda v, axis=axis: axis * cube(v), factor, _CROSSED)  # type: ignore[misc]
         ]
-        return [*_by_axis("flow", letter, factor * cube(p)), *crossed]
+        # of a stiffness these are an effect of their own
+        return [
+            *_by_axis("flow", letter, factor * cube(p)),
+            *(of_turned_axes(letter, p, factor) if setting["axes"] == _TURNED else crossed),
+        ]
 
-    return Form(parts, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], per_axis)
+    return Form(parts, lambda signals: [{"axes": axes} for axes in (0.0, 1.0, _TURNED)[: 3 if turns else 2]], per_axis)
 
 
 def _coupled(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -189,10 +177,7 @@ def _coupled(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     p = motion(s, d)
     if not setting["axes"]:
         return [Part("k", "flow", 1j * _swapped(cube(p))), *_skewed(p, lambda v: _swapped(cube(v)), 1j)]
-    square, beside = np.abs(p) ** 2, _swapped(p)
-    back = 2.0 * square * beside + p**2 * beside.conj()
-    cubed = _swapped(cube(p))
-    return [Part(f"k_{n}", "flow", 1j * (one_axis(back, k) + one_axis(cubed, 1 - k))) for k, n in enumerate("xy")]
+    return [replace(part, parameter=f"k_{part.parameter[2]}") for part in across_axes("k", p, 1j)]
 
 
 def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
@@ -203,7 +188,7 @@ def _friction(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     """
     p = motion(s, d)
     if setting["axes"]:
-        size = np.sqrt(_square(p))
+        size = np.sqrt(square(p))
         against = -p / np.sqrt(np.abs(p) ** 2 + (AT_REST * size) ** 2)
         at_rest = -(1.0 - np.abs(against)) * _swapped(p) / (size + 1e-12) / UNEQUAL
         driven = float(s.recording.command.mode == "loops_off") * at_rest
@@ -316,7 +301,7 @@ FORMS: dict[str, Form] = {
     # dynamics
     "duffing": _cubic("k", 1j, "duffing_axes"),
     "cubic_cross_stiffness": Form(_coupled, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "cubic_cross_stiffness_axes"),
-    "nonlinear_damping": _cubic("c", -1.0, "nonlinear_damping_axes"),
+    "nonlinear_damping": _cubic("c", -1.0, "nonlinear_damping_axes", turns=True),
     "quadratic_damping": _flow("c", _quadratic, -1.0),
     "coulomb_friction": Form(_friction, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "coulomb_friction_axes"),
     "spurious_mode": Form(mode_parts, modes),
@@ -332,7 +317,7 @@ FORMS: dict[str, Form] = {
     "drive_cross_nonlinearity": Form(lambda s, d, g: [Part("d", "drive", np.abs(_swapped(s.drive)) ** 2 * _swapped(s.drive))]),
     "drive_stiffness": Form(softened, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "drive_stiffness_mean"),
     "drive_gap": Form(across_gap),
-    "drive_sag": Form(lambda s, d, g: [Part("d", "drive", _square(s.drive) * s.drive)]),
+    "drive_sag": Form(lambda s, d, g: [Part("d", "drive", square(s.drive) * s.drive)]),
     "drive_saturation": Form(lambda s, d, g: [Part("share", "drive", clipped(s.drive, g["level"]))], limit_settings("drive")),
     "drive_dead_zone": Form(dead_drive, dead_settings),
     "drive_lag": Form(lambda s, d, g: [Part("tau", "drive", _lag(s, s.drive))]),

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from .forms import AT_REST, conjugate_product
+from .cubic_forms import conjugate_product
+from .forms import AT_REST
 from .memory import behind, remembered
 from .parts import one_axis, turned
 from .signals import Signals

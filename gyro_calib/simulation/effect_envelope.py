@@ -22,10 +22,17 @@ _DAMPING, _DAMPING_X, _DAMPING_Y, _DRAG, _FRICTION = 0, 1, 2, 3, 4
 _FORCE, _CUBIC_X, _CUBIC_Y, _PHASE_X, _PHASE_Y, _SAG, _CROSS, _CLIP, _DEAD = 7, 11, 12, 13, 14, 15, 16, 17, 18
 _READ_X, _READ_Y, _TURN_X, _TURN_Y, _READ_CROSS, _STRAY, _READ_CLIP = 19, 20, 21, 22, 23, 24, 28
 _FRICTION_X, _FRICTION_Y, _PUMP_X, _PUMP_Y, _CURL = 29, 30, 31, 33, 35
-_COUNT = 36
+_DAMPING_XY, _DAMPING_YX, _DAMPING_XXYY = 36, 37, 38
+_COUNT = 39
 _PLACES: dict[str, dict[str, int]] = {
     "nonlinear_damping": {"c": _DAMPING},
-    "nonlinear_damping_axes": {"c_x": _DAMPING_X, "c_y": _DAMPING_Y},
+    "nonlinear_damping_axes": {
+        "c_x": _DAMPING_X,
+        "c_y": _DAMPING_Y,
+        "c_xy": _DAMPING_XY,
+        "c_yx": _DAMPING_YX,
+        "c_xxyy": _DAMPING_XXYY,
+    },
     "quadratic_damping": {"c": _DRAG},
     "coulomb_friction": {"c": _FRICTION},
     "coulomb_friction_axes": {"c_x": _FRICTION_X, "c_y": _FRICTION_Y},
@@ -55,7 +62,7 @@ def envelope_constants(effects: Mapping[str, Mapping[str, float]]) -> FloatArray
     numbers[_CLIP] = numbers[_READ_CLIP] = math.inf
     for name in ENVELOPE_EFFECTS & set(effects):
         for parameter, place in _PLACES[name].items():
-            numbers[place] = effects[name][parameter]
+            numbers[place] = effects[name].get(parameter, 0.0)
     alike, by_axis = effects.get("parametric_pump", {}), effects.get("parametric_pump_axes", {})
     for axis, start in (("x", _PUMP_X), ("y", _PUMP_Y)):
         for k, q in enumerate("cs"):
@@ -95,7 +102,13 @@ def effect_rate(px, py, c):  # type: ignore[no-untyped-def]
     dry_x = c[_FRICTION_X] / math.sqrt(xx) if xx > 0.0 else 0.0
     dry_y = c[_FRICTION_Y] / math.sqrt(yy) if yy > 0.0 else 0.0
     rx = pump_x * px.conjugate() - (straight + c[_DAMPING_X] * xx + dry_x) * px - complex(0.0, c[_CURL]) * py
-    return rx, pump_y * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py + complex(0.0, c[_CURL]) * px
+    ry = pump_y * py.conjugate() - (straight + c[_DAMPING_Y] * yy + dry_y) * py + complex(0.0, c[_CURL]) * px
+    rx -= c[_DAMPING_YX] * yy * py + c[_DAMPING_XY] * (2.0 * xx * py + px * px * py.conjugate())
+    ry -= c[_DAMPING_XY] * xx * px + c[_DAMPING_YX] * (2.0 * yy * px + py * py * px.conjugate())
+    both = c[_DAMPING_XXYY] / 3.0
+    rx -= both * (2.0 * yy * px + py * py * px.conjugate())
+    ry -= both * (2.0 * xx * py + px * px * py.conjugate())
+    return rx, ry
 
 
 @kernel

@@ -22,7 +22,10 @@ from .effect_layout import (
     E_STEP,
     E_VELOCITY,
     E_VELOCITY_X,
+    E_VELOCITY_XXYY,
+    E_VELOCITY_XY,
     E_VELOCITY_Y,
+    E_VELOCITY_YX,
 )
 
 __all__ = ["bends_drive", "drive_stage", "friction_direction", "opposes_motion", "pump_stiffness", "velocity_force"]
@@ -53,8 +56,9 @@ def friction_direction(vx, vy, ax, ay):  # type: ignore[no-untyped-def]
 def opposes_motion(effect):  # type: ignore[no-untyped-def]
     """Whether :func:`velocity_force` is any."""
     alike, by_axis = effect[E_VELOCITY] != 0.0 or effect[E_DRAG] != 0.0, effect[E_VELOCITY_X] != 0.0 or effect[E_VELOCITY_Y] != 0.0
+    turned = effect[E_VELOCITY_XY] != 0.0 or effect[E_VELOCITY_YX] != 0.0 or effect[E_VELOCITY_XXYY] != 0.0
     dry = effect[E_FRICTION] != 0.0 or effect[E_FRICTION_X] != 0.0 or effect[E_FRICTION_Y] != 0.0
-    return alike or by_axis or dry
+    return alike or by_axis or turned or dry
 
 
 @kernel
@@ -80,8 +84,9 @@ def velocity_force(vx, vy, ax, ay, effect):  # type: ignore[no-untyped-def]
     same = effect[E_VELOCITY] * square
     if effect[E_DRAG] != 0.0:
         same += effect[E_DRAG] * math.sqrt(square)
-    fx = -(same + effect[E_VELOCITY_X] * vx * vx) * vx
-    fy = -(same + effect[E_VELOCITY_Y] * vy * vy) * vy
+    xy, yx, both = effect[E_VELOCITY_XY], effect[E_VELOCITY_YX], effect[E_VELOCITY_XXYY]
+    fx = -(same + effect[E_VELOCITY_X] * vx * vx + both * vy * vy) * vx - (3.0 * xy * vx * vx + yx * vy * vy) * vy
+    fy = -(same + effect[E_VELOCITY_Y] * vy * vy + both * vx * vx) * vy - (xy * vx * vx + 3.0 * yx * vy * vy) * vx
     if effect[E_FRICTION] != 0.0:
         nx, ny = friction_direction(vx, vy, ax, ay)
         # the mean over a sample lowers the fundamental as a hold does

@@ -37,7 +37,9 @@ E_SPUR, E_SPUR_OMEGA = 71, 72
 E_GAP_X, E_GAP_Y = 73, 74
 # circulatory stiffness [1/s^2]
 E_CURL = 77
-N_EFFECT = 78
+# of axes that are turned: v_x^3 v_y, v_x v_y^3 and v_x^2 v_y^2/2 [s/m^2]
+E_VELOCITY_XY, E_VELOCITY_YX, E_VELOCITY_XXYY = 78, 79, 80
+N_EFFECT = 81
 
 # memory: time [s]; lagged and slow drive x_c, x_s, y_c, y_s [V]; slow displacement x_c, x_s, y_c, y_s [m]; spurious modes of the x and of
 # the y drive, re, im [V s]; lagged and slow pick-off, last and lagged y pick-off c, s [V]; last undelayed

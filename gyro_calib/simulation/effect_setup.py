@@ -160,6 +160,8 @@ def _forces(effect: FloatArray, size: _Sizes, w: float, gain: float) -> None:
     effect[at.E_VELOCITY] = cubic * size("nonlinear_damping", "c")
     effect[at.E_VELOCITY_X] = cubic * size("nonlinear_damping_axes", "c_x")
     effect[at.E_VELOCITY_Y] = cubic * size("nonlinear_damping_axes", "c_y")
+    for of, name in ((at.E_VELOCITY_XY, "c_xy"), (at.E_VELOCITY_YX, "c_yx"), (at.E_VELOCITY_XXYY, "c_xxyy")):
+        effect[of] = cubic * size("nonlinear_damping_axes", name)
     effect[at.E_DRAG] = 0.75 * math.pi * gain / w * size("quadratic_damping", "c")
     effect[at.E_FRICTION] = 0.5 * math.pi * w / gain * size("coulomb_friction", "c")
     effect[at.E_FRICTION_X] = 0.5 * math.pi * w / gain * size("coulomb_friction_axes", "c_x")
