@@ -152,6 +152,14 @@ def test_json_is_written_though_the_terminal_is_gone(recording, diagnosed, tmp_p
     assert json.loads((tmp_path / "gap.json").read_text())["verdict"] == "effects"
 
 
+@pytest.mark.parametrize(("across", "by_axis"), [(0.0, False), (5.0, True)])
+def test_axes_that_are_turned_are_the_variant_by_axis(across: float, by_axis: bool) -> None:
+    """Equal sizes of both axes are alike in all directions only if nothing acts from one to the other."""
+    sizes = {name: Quantity(value, 0.5, "1/s/V^2") for name, value in (("c_x", 9.0), ("c_y", 9.0), ("c_xy", across), ("c_yx", -across))}
+    found = FoundEffect("nonlinear_damping", "", ("nonlinear_damping",), 0.9, sizes, "dynamics", "nonlinear_damping_axes", 300.0)
+    assert ("nonlinear_damping_axes" in found.to_json()["group"]) is by_axis
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [

@@ -79,7 +79,7 @@ class FoundEffect:
         sizes = list(self.parameters.values())
         if self.registry_name in self.group or len(sizes) < 2:
             return []
-        (x, y), across = sizes[:2], [q for name, q in self.parameters.items() if name.endswith("_s")]
+        (x, y), across = sizes[:2], [q for name, q in self.parameters.items() if name.endswith(("_s", "_xy", "_yx"))]
         unlike = [(abs(x.value - y.value), math.hypot(x.sd, y.sd)), *((abs(q.value), q.sd) for q in across)]
         least = _UNLIKE * max(abs(x.value), abs(y.value))
         return [self.registry_name] if any(by > max(_UNLIKE_SD * sd, least) for by, sd in unlike) else []
