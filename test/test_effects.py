@@ -1,6 +1,6 @@
 """Every effect of the registry at the carrier against its closed form in envelopes, as the catalogue states it.
 
-The carrier's rows give ``p' - (A - i dw) p - G u``, with A, G and E of the device without it. The forms are written anew: nobody is asked.
+The carrier's rows give ``p' - (A - i dw) p - G u``, with those of the device without it; no kernel and no envelope is asked for the forms.
 """
 
 from __future__ import annotations

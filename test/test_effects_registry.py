@@ -111,7 +111,8 @@ def test_truth_knows_what_effects_do_to_the_bias(name: str) -> None:
         simulator.advance(3.0)
         rate = raw_rate(simulator.advance(0.3), simulator.command, simulator.factory).mean()
         found.append(rate)
-        assert rate == pytest.approx(simulator.truth().bias_rad_s, abs=3e-6, rel=1e-3)  # 0.6 deg/h
+        # 0.6 deg/h; of a bias of degrees a second, a thousandth
+        assert rate == pytest.approx(simulator.truth().bias_rad_s, abs=3e-6, rel=1e-3)
     assert abs(found[1] - found[0]) > 1e-5
 
 

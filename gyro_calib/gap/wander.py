@@ -5,7 +5,7 @@ such; but of the volts ``V = m + E u`` only m goes with it. What feeds through i
 thousandth of the wave, and comes out across it: four standard deviations at the lowest lines of a ninth plant's precessing waves, healthy
 ones, which were *unknown* for it. The frequency channel itself tells the course a hundred times as well as that asks for, also of what is
 as fast as the wave turns: of a healthy hemisphere of a nineteenth plant that left 1489 in chi-square of 1395 degrees of freedom, and a
-cube of a pick-off that it did not have took 63 of them; followed it leaves 1387.
+cube of a pick-off that it did not have took 63 of them; followed it leaves 1385.
 
 Where the temperature or the rate moves, or the amplitude is modulated, effects move the resonance as well and have their own column there;
 those recordings are left alone. So is what goes with the azimuth of waves that turn, if it is more than a wander makes by chance.
@@ -34,8 +34,8 @@ FloatArray = NDArray[np.float64]
 _FASTEST_HZ = 2.0
 #: azimuth that a wave at rest keeps to [rad]; harmonics of the azimuth that belong to the device
 _AT_REST, _HARMONICS = 0.3, (2.0, 4.0)
-#: chi-square of those harmonics, four sizes, that a wander does not reach
-_SURELY = 25.0
+#: chi-square of those harmonics, four sizes, that a wander does not reach; share of what recordings would take with sizes of their own
+_SURELY, _ALIKE = 25.0, 0.4
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Spectrum:
     Parameters
     ----------
     walk, flicker, white, pickoff : float
-        With 1/f^2, 1/f, 1 and f^2, one-sided.
+        One-sided at 1 Hz [rad^2/s^2/Hz], with 1/f^2, 1/f, 1 and f^2.
     """
 
     walk: float
@@ -117,20 +117,30 @@ def harmonics_of(
     turning : mapping
         Azimuth of waves [rad], shape (n,), by recording.
     courses : mapping
-        Frequency that is left [rad/s], of these and others.
+        Frequency that is left [rad/s], shape (n,), of these and others.
     row_s : mapping
-        Time between rows.
+        Time between rows [s].
     spectrum : Spectrum
+
+    Returns
+    -------
+    dict
+        By recording [rad/s], shape (n,).
     """
     shapes = {k: np.column_stack([f(h * azimuth) for h in _HARMONICS for f in (np.cos, np.sin)]) for k, azimuth in turning.items()}
     white = [np.column_stack([spectrum.whitened(x, row_s[k]) for x in (*shape.T, courses[k])]) for k, shape in shapes.items()]
     if not white:
         return {}
-    together = np.concatenate(white)
-    sizes, *_ = np.linalg.lstsq(together[:, :-1], together[:, -1], rcond=None)
-    if np.sum((together[:, :-1] @ sizes) ** 2) < _SURELY:
+    sizes, gain = _fitted(np.concatenate(white))
+    if gain < max(_SURELY, _ALIKE * sum(_fitted(of_one)[1] for of_one in white)):
         return {}
     return {k: shape @ sizes for k, shape in shapes.items()}
+
+
+def _fitted(white: FloatArray) -> tuple[FloatArray, float]:
+    """Sizes of all columns but the last, which is fitted, and the chi-square that they take."""
+    sizes, *_ = np.linalg.lstsq(white[:, :-1], white[:, -1], rcond=None)
+    return np.asarray(sizes, dtype=np.float64), float(np.sum((white[:, :-1] @ sizes) ** 2))
 
 
 def _frequencies(rows: int, row_s: float) -> FloatArray:

@@ -62,7 +62,7 @@ def envelope_constants(effects: Mapping[str, Mapping[str, float]]) -> FloatArray
     numbers[_CLIP] = numbers[_READ_CLIP] = math.inf
     for name in ENVELOPE_EFFECTS & set(effects):
         for parameter, place in _PLACES[name].items():
-            numbers[place] = effects[name].get(parameter, 0.0)
+            numbers[place] = effects[name][parameter]
     alike, by_axis = effects.get("parametric_pump", {}), effects.get("parametric_pump_axes", {})
     for axis, start in (("x", _PUMP_X), ("y", _PUMP_Y)):
         for k, q in enumerate("cs"):
