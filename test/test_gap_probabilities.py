@@ -1,9 +1,10 @@
 """How likely a device is healthy after a diagnosis that names nothing."""
 
 import numpy as np
+import pytest
 
-from gyro_calib.gap.diagnosis import Unknown
-from gyro_calib.gap.probabilities import none_or_unknown
+from gyro_calib.gap.diagnosis import FoundEffect, Unknown
+from gyro_calib.gap.probabilities import beside_unknown, none_or_unknown
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import Selection
 
@@ -44,3 +45,29 @@ def test_what_is_unknown_is_most_likely_so_and_the_more_so_the_larger_it_is():
     assert said[-1][0] < 0.02
     for none, unknown in said:
         assert 0.8 < unknown <= 1.0 - none
+
+
+@pytest.mark.parametrize(
+    ("gains", "unknown", "stand"),
+    [
+        ((13_280.0,), 134.0, (13_280.0,)),
+        ((9_000.0, 700.0), 100.0, (9_000.0,)),
+        ((900.0,), 134.0, ()),
+        # three that imitate one term
+        ((9_000.0, 8_000.0, 7_000.0), 100.0, ()),
+    ],
+)
+def test_beside_something_unknown_stands_what_takes_many_times_as_much(
+    gains: tuple[float, ...], unknown: float, stand: tuple[float, ...]
+) -> None:
+    """A stiffness of 13 280 on a hemisphere of another plant was not in the verdict at all, for 134 that no name took."""
+    effects = tuple(FoundEffect("duffing", "", ("duffing",), 0.9, {}, "dynamics", "duffing", gain) for gain in gains)
+    left = Unknown("pick-off", "in phase", "x", "time", "", unknown)
+    assert tuple(e.gain for e in beside_unknown(effects, left)) == stand
+    assert beside_unknown(effects, None) == effects
+
+
+def test_a_device_with_an_effect_beside_something_unknown_is_not_healthy():
+    effect = FoundEffect("duffing", "", ("duffing",), 0.9, {}, "dynamics", "duffing", 9e3)
+    left = Unknown("pick-off", "in phase", "x", "time", "", 60.0)
+    assert none_or_unknown(selection(3.0), (), left, (effect,))[0] == 0.0 < none_or_unknown(selection(3.0), (), left)[0]

@@ -32,7 +32,7 @@ from .next_experiment import experiment_for, next_experiment
 from .odd_one_out import check_alike
 from .periods import find_period
 from .preflight import check_campaign, usable
-from .probabilities import none_or_unknown
+from .probabilities import beside_unknown, none_or_unknown
 from .rate_table import said_late
 from .reciprocity import RECIPROCITY, reciprocity
 from .screen import Candidate, Screened
@@ -129,14 +129,15 @@ def diagnose(
     # of the slow flow, and of what no name fits in it, what the loops hold says nothing
     effects += loops.effects + circulatory
     verdict = _verdict(effects, unknown, lines)
+    effects = beside_unknown(effects, unknown)
     following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
-    none, something = none_or_unknown(selection, (*beside.effects, *loops.effects, *circulatory), unknown)
+    none, something = none_or_unknown(selection, (*beside.effects, *loops.effects, *circulatory), unknown, effects)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
         summary=_summary(verdict, effects, unknown, shrunk),
-        effects=effects if verdict != "unknown" else (),
+        effects=effects,
         unknown=unknown,
         map=gap_map(model, model.base),
         standings=lines,
@@ -346,7 +347,8 @@ def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | 
     if verdict == "not_testable":
         return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
     if unknown is not None:
-        return f"Something that is not in the catalogue, {unknown.words()} (nearest known: {unknown.nearest or 'none'})."
+        something = f"Beside {' and '.join(e.name for e in effects)}, by far the larger, something" if effects else "Something"
+        return f"{something} that is not in the catalogue, {unknown.words()} (nearest known: {unknown.nearest or 'none'})."
     words = []
     for e in effects:
         others = [name for name in e.group if name != e.name]

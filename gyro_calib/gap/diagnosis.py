@@ -251,7 +251,7 @@ class Diagnosis:
     summary : str
         One sentence for people.
     effects, unknown, map, standings, gap, not_testable, next_experiment, warnings
-        See the classes.
+        See the classes. Effects beside something unknown are those that take many times as much.
     chi2_before, chi2_after, dof : float, float, int
         Before and after the effects, all experiments.
     probability_none, probability_unknown : float

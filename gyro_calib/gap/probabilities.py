@@ -8,7 +8,10 @@ from collections.abc import Sequence
 from .diagnosis import FoundEffect, Unknown
 from .select import Selection
 
-__all__ = ["none_or_unknown"]
+__all__ = ["beside_unknown", "none_or_unknown"]
+
+#: how often what something unnamed takes an effect takes that stands beside it, and up to how many do: three names imitate one term
+_STANDS, _BESIDE = 10.0, 2
 
 #: a healthy device is believed this often before any recording; what is there and was not seen in trials, and how much of that has no name
 _NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7
@@ -23,7 +26,16 @@ _UNKNOWN_IS_NONE, _UP_TO, _AT_LEAST, _UNKNOWN_IS = 0.12, 100.0, 0.01, 0.93
 _LINE = 50.0
 
 
-def none_or_unknown(selection: Selection, lines: Sequence[FoundEffect], unknown: Unknown | None) -> tuple[float, float]:
+def beside_unknown(effects: tuple[FoundEffect, ...], unknown: Unknown | None) -> tuple[FoundEffect, ...]:
+    """Effects that are there whatever has no name: all if nothing has none, or one or two that each take many times as much."""
+    if unknown is None:
+        return effects
+    return tuple(e for e in effects if e.gain > _STANDS * unknown.gain) if len(effects) <= _BESIDE else ()
+
+
+def none_or_unknown(
+    selection: Selection, lines: Sequence[FoundEffect], unknown: Unknown | None, beside: Sequence[FoundEffect] = ()
+) -> tuple[float, float]:
     """Probability of none, and of something unnamed: by the evidence, and by how often such verdicts were right in trials.
 
     Parameters
@@ -32,6 +44,8 @@ def none_or_unknown(selection: Selection, lines: Sequence[FoundEffect], unknown:
     lines : sequence of FoundEffect
         Effects that were found in the spectra.
     unknown : Unknown or None
+    beside : sequence of FoundEffect
+        Effects that stand beside what is unknown.
 
     Returns
     -------
@@ -39,7 +53,8 @@ def none_or_unknown(selection: Selection, lines: Sequence[FoundEffect], unknown:
         What is left of 1 is for the catalogue: the effects that are named and, of a device without, one too small to be seen.
     """
     if unknown is not None:
-        none = max(_UNKNOWN_IS_NONE * min(_UP_TO / max(unknown.gain, 1.0), 1.0), _AT_LEAST)
+        # what an effect stands in by many times as much is not healthy
+        none = 0.0 if beside else max(_UNKNOWN_IS_NONE * min(_UP_TO / max(unknown.gain, 1.0), 1.0), _AT_LEAST)
         return none, _UNKNOWN_IS * (1.0 - none)
     found = [*selection.probabilities, *(e.probability for e in lines)]
     if found:

@@ -99,10 +99,11 @@ def _ambiguity(diagnosis: Diagnosis) -> tuple[Words, ...]:
     ]
     harmless = [e.name for e in diagnosis.effects if e.harmless]
     lines += [f"{name} is present, but moves neither bias nor scale factor by more than their noise." for name in harmless]
+    words = [Words("What the data cannot tell apart", tuple(lines))] if lines else []
     if (unknown := diagnosis.unknown) is not None:
-        lines.append(f"What is not in the catalogue acts {unknown.words()}; the nearest known effect is {unknown.nearest or 'none'}.")
-    title = "What the data cannot tell apart" if diagnosis.unknown is None else "What is not in the catalogue"
-    return (Words(title, tuple(lines)),) if lines else ()
+        said = f"What is not in the catalogue acts {unknown.words()}; the nearest known effect is {unknown.nearest or 'none'}."
+        words.append(Words("What is not in the catalogue", (said,)))
+    return tuple(words)
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:

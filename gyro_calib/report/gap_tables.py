@@ -35,7 +35,8 @@ def _beside_the_named(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     """Probability of what no row above names, which adds up to 1 where none does."""
     none, unknown = diagnosis.probability_none, diagnosis.probability_unknown
     if diagnosis.effects:
-        return [("none of any kind", none), ("another, or not in the catalogue", unknown)]
+        others = "another, or not in the catalogue" if diagnosis.unknown is None else "beside it one that is not in the catalogue"
+        return [("none of any kind", none), (others, unknown)]
     of_catalogue = "one of the catalogue" if diagnosis.unknown is not None else "one of the catalogue, too small to see"
     return [("none of any kind", none), (of_catalogue, max(1.0 - none - unknown, 0.0)), ("not in the catalogue", unknown)]
 

@@ -242,10 +242,10 @@ def reliability(outcomes: Sequence[Outcome], edges: Sequence[float] = (0.0, 0.5,
     for o in outcomes:
         if o.label.stratum == "poor":
             continue
-        if o.verdict.verdict == "effects":
-            there = set(o.label.names) if o.label.stratum != "removed" else set()
-            pairs += [(e.probability, bool(there & set(e.group))) for e in o.verdict.effects]
-        elif o.verdict.verdict == "none":
+        # those that stand beside something unknown, too
+        there = set(o.label.names) if o.label.stratum != "removed" else set()
+        pairs += [(e.probability, bool(there & set(e.group))) for e in o.verdict.effects]
+        if o.verdict.verdict == "none":
             pairs.append((o.verdict.probability_none, not o.label.names))
         elif o.verdict.verdict == "unknown":
             pairs.append((o.verdict.probability_unknown, o.label.stratum == "removed"))
