@@ -38,6 +38,7 @@ from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
 from .system import NoiseByRole, Solution, Whitener, solve
 from .thermometer import THERMOMETER, own_columns, sensor_late_s, thermometer_columns
+from .wander_feeds import wander_feeds
 
 __all__ = ["CampaignModel", "look_at"]
 
@@ -177,7 +178,7 @@ def look_at(
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0
     errs = thermometer_columns(evidence, linear, values, error_k) if error_k else []
     nuisances = healthy_phases(nuisances_of(evidence, linear, most, wander), angular_gain, values)
-    nuisances = [*nuisances, *errs, *own_columns(evidence, linear, values)]
+    nuisances = [*nuisances, *errs, *own_columns(evidence, linear, values), *wander_feeds(evidence, linear)]
     candidates = candidates_of(evidence, linear, without, lambda f: report(0.35 + 0.4 * f, "effects of the registry"))
     missing = missing_of(evidence)
     candidates = {name: tried for name, tried in candidates.items() if not missing & set(EFFECTS[name].needs)}
@@ -231,8 +232,8 @@ def _weighed(
     strangers: Sequence[Candidate] = (),
 ) -> tuple[Whitener, NoiseByRole, Mapping[tuple[int, str], float], list[Column]]:
     """Noise, measured with all effects and ``strangers`` allowed for, and the nuisances at the sizes that they have."""
-    # a wave that is turned shows what depends on rate, whatever its name
-    turned = [c for a, c in bank if a.form == "Omega x, crossed" and a.location == "dynamics"]
+    # a wave that is turned shows what depends on rate, whatever its name: an asymmetry of 1239 that had none was its noise
+    turned = [c for a, c in bank if a.form in ("Omega x, crossed", "Omega^2 x, crossed") and a.location == "dynamics"]
     strange = [c for a, c in bank if _is_strange(a) and not c.setting and (a.form, a.phase) != HEATED]
     # whether the registry has a name for a drift or not, a floor is what does not go along a straight line
     straight = [c for a, c in bank if a.depends_on == "time"]

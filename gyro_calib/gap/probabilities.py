@@ -11,7 +11,7 @@ from .select import Selection
 __all__ = ["beside_unknown", "none_or_unknown"]
 
 #: how often what something unnamed takes an effect takes that stands beside it, and up to how many do: three names imitate one term
-_STANDS, _BESIDE = 10.0, 2
+_STANDS, _BESIDE = 30.0, 2
 
 #: a healthy device is believed this often before any recording; what is there and was not seen in trials, and how much of that has no name
 _NONE_BEFORE, _MISSED, _NAMELESS = 0.5, 0.18, 0.7

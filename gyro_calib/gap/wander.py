@@ -27,7 +27,7 @@ from .nuisance import SWITCHED
 from .parts import Linear
 from .whittle import likeliest
 
-__all__ = ["Spectrum", "harmonics_of", "wander_within"]
+__all__ = ["Spectrum", "harmonics_of", "tells_its_wander", "wander_within"]
 
 FloatArray = NDArray[np.float64]
 #: highest frequency of a wander that is followed [Hz]
@@ -91,7 +91,7 @@ class Spectrum:
 
 def wander_within(evidence: CampaignEvidence, linear: Linear) -> tuple[FloatArray, ...]:
     """Distance of the resonance beyond what ``linear`` knows of it [rad/s], by recording, shape (n,) each; zero where it is left alone."""
-    told = {r.index: rows_left(r.signals, linear) for r in evidence if _is_told(r)}
+    told = {r.index: rows_left(r.signals, linear) for r in evidence if tells_its_wander(r)}
     courses = {k: along.imag for k, (_, along, _) in told.items()}
     row_s = {r.index: r.signals.row_s for r in evidence}
     spectrum = Spectrum.of(courses, row_s)
@@ -101,7 +101,8 @@ def wander_within(evidence: CampaignEvidence, linear: Linear) -> tuple[FloatArra
     return tuple(found.get(r.index, np.zeros(len(r.signals.time_s))) for r in evidence)
 
 
-def _is_told(r: RecordingEvidence) -> bool:
+def tells_its_wander(r: RecordingEvidence) -> bool:
+    """Whether nothing but the resonator's own millikelvins moves the frequency of a recording's wave."""
     command = r.recording.command
     still = command.excitation.kind == "none" and command.mode not in SWITCHED
     return r.is_wave and still and not r.is_warming and not is_turned(r.recording)
