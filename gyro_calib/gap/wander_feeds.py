@@ -3,7 +3,7 @@
 Of the volts ``V = m + E u`` only m goes with the resonance, and what a wander makes of that is taken off with the column of E
 (:mod:`.wander`). On a hemisphere of a nineteenth plant, whose precession takes 2.7 V of drive, that is 37 000 in chi-square. Some
 hundred of it are left, as a slope of the resonance that is another in each record, which no constant of the device holds. Healthy, with
-eleven noises, that unit had eight times an effect or something unknown, of 47 to 121 and each time another one. The cause is not known:
+eleven noises, that unit had eight times an effect or something unknown, of 53 to 100 and each time another one. The cause is not known:
 the course that is followed is right to 1e-6 rad/s.
 """
 
