@@ -294,6 +294,14 @@ def test_what_lags_behind_the_temperature_is_no_drift_of_two_recordings() -> Non
     assert max(worth_of(s) for s, a in bank_terms(strange, strange.screener) if a.depends_on == "temperature") > 2.0 * MARGIN
 
 
+@pytest.mark.slow
+def test_a_gradient_that_splits_and_damps_is_one_effect() -> None:
+    """A plant's had the name of a drive's gain that lags; as two effects each had the other's share of the evidence against it."""
+    tau = {"tau": 8.0}
+    both = looked_at("ring", {"thermal_split_lag": {"k_c": 1.5e-4, "k_s": -1.5e-4, **tau}, "thermal_damping_lag": {"c": 1.5e-4, **tau}})
+    assert [e.name for e in select_effects(both).effects] == ["thermal_split_lag"]
+
+
 def test_beside_one_of_twins_the_other_is_not_tried() -> None:
     assert with_twins(["pickoff_delay", "duffing"]) == {"pickoff_delay", "drive_delay", "duffing"}
     assert with_twins(["drive_memory"]) == {"drive_memory", "pickoff_memory"}

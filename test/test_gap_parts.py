@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from gyro_calib.gap.cubic_forms import cube
 from gyro_calib.gap.flow_left import rows_left
 from gyro_calib.gap.forms import FORMS, behind
-from gyro_calib.gap.parts import SKEW, UNEQUAL, Linear, read_at_once, unexplained
+from gyro_calib.gap.parts import REST, SKEW, UNEQUAL, Linear, read_at_once, unexplained
 from gyro_calib.gap.signals import Signals, with_pick
 from gyro_calib.gap.warm_forms import _HALF_PER_K, _LATE_S
 from gyro_calib.recording.columns import COLUMNS
@@ -20,6 +20,8 @@ from gyro_calib.recording.command import Command, Setpoints
 from gyro_calib.recording.recording import Recording
 
 ROW_S = 0.002
+#: what a gradient does besides splitting
+DAMPED = ("thermal_damping", "thermal_damping_anisotropy")
 A = np.array([[-1.5 - 0.2j, 0.03 + 0.05j], [-0.02 + 0.04j, -1.4 + 0.3j]])
 G = np.array([[-8.0j, 0.2 + 0.1j], [0.1j, -7.5j]])
 
@@ -127,15 +129,15 @@ def test_a_stiffness_of_the_drives_may_meet_the_motion_late() -> None:
         assert np.abs(parts[f"k_{name}"][:, axis] - whole[:, axis]).max() > 5.0 * second.max()
 
 
-def test_a_gradient_of_temperature_damps_unequally_as_well() -> None:
+def test_a_gradient_of_temperature_damps_as_well_alike_and_unequally() -> None:
     signals, linear = moving(0.0)
     signals.__dict__["temperature_k"] = 0.5 * signals.time_s
     setting = {"tau": 0.4}
     split = {p.parameter: p.signal for p in FORMS["thermal_split_lag"].parts(signals, linear, setting)}
     signals.__dict__["temperature_k"] = behind(signals, 0.4).real[:, 0]
-    damped = {p.parameter: p.signal for p in FORMS["thermal_damping_anisotropy"].parts(signals, linear, {})}
-    for which in ("c", "s"):
-        beside, alone = split[f"{SKEW}_damped_{which}"], damped[f"c_{which}"]
+    damped = {p.parameter: p.signal for name in DAMPED for p in FORMS[name].parts(signals, linear, {})}
+    for beside, alone in ((f"{REST}_damped", "c"), (f"{SKEW}_damped_c", "c_c"), (f"{SKEW}_damped_s", "c_s")):
+        beside, alone = split[beside], damped[alone]
         np.testing.assert_allclose(beside, -0.3 / UNEQUAL * alone)
         assert np.abs(alone).max() > 0.0
 

@@ -15,10 +15,10 @@ from gyro_calib.gap.column import Column
 from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.levels import clipped
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.parts import SKEW
+from gyro_calib.gap.parts import REST, SKEW
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import _ROUGH_SHARES, _refined
-from gyro_calib.gap.settings_together import places_of, settled_together, with_slopes
+from gyro_calib.gap.settings_together import is_accompanied, places_of, settled_together, with_slopes
 from gyro_calib.gap.system import Solution, Whitener, solve
 from gyro_calib.gap.told import told_sizes
 from gyro_calib.trial.injected import with_columns
@@ -88,6 +88,14 @@ def test_two_times_are_found_together_and_their_intervals_hold_the_truth() -> No
             tau, name = found[k].setting[key], found[k].name
             hit[name] += abs(tau - TRUE_TAUS[name]) < SIGMAS * sd * tau
     assert all(count / DRAWS > 0.88 for count in hit.values()), hit
+
+
+def test_what_is_there_from_the_first_is_no_company() -> None:
+    """It has its prior from the registry, and the effect is made again as it was."""
+    none = (np.zeros(0, complex),)
+    for name, accompanied in ((REST, False), (f"{REST}_damped", False), (f"{SKEW}_damped", True)):
+        columns = (Column("g", none, none), Column(name, none, none))
+        assert is_accompanied(Candidate(DRIVE, {}, columns, np.full(2, np.inf), 5)) is accompanied
 
 
 class Accompanied(Toy):

@@ -262,11 +262,12 @@ def _driven_late(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 
 
 def _gradient(s: Signals, d: Linear, setting: Setting) -> list[Part]:
-    """What a shell that is not warm throughout does: it splits the frequency, and damps unequally as well."""
+    """What a shell that is not warm throughout does: it splits the frequency and damps, alike from the first and then unequally."""
     late = behind(s, setting["tau"])
     damped = _DAMPED * late * velocity(s, d)
+    equal = Part(f"{REST}_damped", "flow", damped / UNEQUAL)
     unequal = [beside("damped_c", "flow", damped * np.array([1.0, -1.0])), beside("damped_s", "flow", _swapped(damped))]
-    return [*_anisotropy("k", late * motion(s, d), 1j), *unequal]
+    return [*_anisotropy("k", late * motion(s, d), 1j), equal, *unequal]
 
 
 def _fed_by_warmth(s: Signals, d: Linear, setting: Setting) -> list[Part]:

@@ -16,7 +16,7 @@ import numpy as np
 from .candidates import candidate_at
 from .column import Column
 from .model import CampaignModel
-from .parts import SKEW
+from .parts import REST, SKEW
 from .screen import Candidate
 from .system import Solution, solve
 
@@ -44,7 +44,7 @@ def places_of(chosen: Sequence[Candidate]) -> list[Place]:
 
 def is_accompanied(candidate: Candidate) -> bool:
     """Whether an effect is held with what comes with it, of a size of its own."""
-    return any(c.name.startswith(SKEW) for c in candidate.columns)
+    return any(c.name.startswith(SKEW) and not c.name.startswith(REST) for c in candidate.columns)
 
 
 def settled_together(model: CampaignModel, chosen: Sequence[Candidate]) -> list[Candidate]:
