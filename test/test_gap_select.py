@@ -14,7 +14,7 @@ from gyro_calib.gap.anonymous import Anonymous
 from gyro_calib.gap.column import Column
 from gyro_calib.gap.counting import beyond_complete, enough
 from gyro_calib.gap.model import CampaignModel
-from gyro_calib.gap.saturated import _with_room
+from gyro_calib.gap.saturated import _with_room, with_twins
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import physical
 
@@ -141,3 +141,8 @@ def test_a_mode_whose_line_covers_the_resonance_is_none() -> None:
 
     assert not physical(mode(-0.14, 0.52))
     assert physical(mode(-126.0, 4.8))
+
+
+def test_beside_one_of_twins_the_other_is_not_tried() -> None:
+    assert with_twins(["pickoff_delay", "duffing"]) == {"pickoff_delay", "drive_delay", "duffing"}
+    assert with_twins(["drive_memory"]) == {"drive_memory", "pickoff_memory"}

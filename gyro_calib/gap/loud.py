@@ -21,9 +21,9 @@ __all__ = ["Loud", "loudest"]
 
 #: power over that of its kind from which on a recording is not of its kind; those of some forty healthy campaigns came to 4.4
 _LOUD = 8.0
-#: power of a warmed recording over that of its mode at rest from which on it holds more than noise; of 18 healthy units of another
-#: plant it came to 9, of a practice hemisphere to 13, of one healthy hemisphere of trials to 325
-_WARMED = 1000.0
+#: power of a warmed recording over that of its mode at rest from which on it holds more than noise; along a wave, where the damping acts,
+#: one healthy hemisphere of trials came to 325, across it 40 healthy units to 7 and a practice hemisphere to 34
+_WARMED, _WARMED_ACROSS = 1000.0, 150.0
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,9 @@ def loudest(model: CampaignModel) -> Loud | None:
         Loud(r.recording.label, channel, ratio, r.signal.lhs.size, warmed=True)
         for r in model.evidence
         for channel in CHANNELS
-        if channel != "frequency" and _is_told_warming(r) and (ratio := _over_rest(model, r, channel)) > _WARMED
+        if channel != "frequency"
+        and _is_told_warming(r)
+        and (ratio := _over_rest(model, r, channel)) > (_WARMED if channel == "amplitude" else _WARMED_ACROSS)
     ]
     return max(found, key=lambda loud: loud.ratio, default=None)
 

@@ -39,8 +39,8 @@ _TAMED_ROUNDS, _TAMED = 4, 10.0
 _UNLIKE, _FEWEST_FREE = 3.0, 3.0
 #: a row of which less than this is left says nothing of the noise
 _LEAST_FREEDOM = 0.3
-#: modes whose wave rises or decays: no line of theirs is quiet
-_FALLING = ("ring_down", "ring_up")
+#: modes whose wave rises or decays: no line of theirs is quiet; what drives add to them, at least, over what they do to a held wave
+_FALLING, _DRIVEN = ("ring_down", "ring_up"), 0.5
 #: how far the drive gains may be from those of a fit without effects, sd over the largest of them
 _GAIN_SHARE = 0.01
 #: noise of the saturated model over that of one without effects, in power, at least: of all recordings, and of those in which nothing is
@@ -110,9 +110,8 @@ def measured_noise(
     itself, and the less is left the more it weighs. ``start``: the noise of nearly the same campaign.
     """
     whole, quiet = target_of(evidence, angular_gain), quiet_target_of(evidence, angular_gain)
-    target, floor = whole, {}
+    target, floor = whole, {} if plain is None else dict(plain.floor)
     if plain is not None:
-        floor = dict(plain.floor)
         saturated, target, quiet = _held(saturated, plain.gains, whole, quiet)
     stack = Stack(tuple(saturated))
     noise, _ = _iterated(evidence, stack, target, quiet, floor, start)
@@ -250,12 +249,13 @@ def _from_residuals(
         fitted[key] = fit_law(*together, slow=key not in steady, floors=floors[key])
     found = {key: fitted.get(key, noise[key]) for key in basis}
     found.update(beside_floors({key: law for key, law in found.items() if key not in steady and key[1] != "frequency"}))
-    parents = {r.role: r.parent_role for r in evidence}
-    out = {}
+    parents, out = {r.role: r.parent_role for r in evidence}, {}
+    falling = {r.role for r in evidence if r.recording.command.mode in _FALLING}
     for (role, channel), law in found.items():
         parent = found.get((parents.get(role, role), channel), law)
         known = parent is law or sum(len(s) for s in squares[role, channel]) >= _FEWEST_SQUARES
-        out[role, channel] = law if known else law.not_below(parent)
+        driven = parent.of_drives().times(_DRIVEN) if role in falling else law
+        out[role, channel] = law.not_below(driven if known else parent)
     return out
 
 

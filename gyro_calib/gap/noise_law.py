@@ -161,6 +161,11 @@ class NoiseLaw:
         white, flicker, pickoff, walk = (min(c, limit) if k == term else c for k, c in enumerate(self.coefficients))
         return replace(self, coefficients=(white, flicker, pickoff, walk))
 
+    def of_drives(self) -> NoiseLaw:
+        """What drives add, whatever the wave does."""
+        white, flicker, _, _ = self.coefficients
+        return NoiseLaw((white, flicker, 0.0, 0.0))
+
     def not_below(self, other: NoiseLaw) -> NoiseLaw:
         """Term by term the larger one."""
         white, flicker, pickoff, walk = (max(a, b) for a, b in zip(self.coefficients, other.coefficients, strict=True))
