@@ -17,7 +17,13 @@ LINES = Lines(np.array([0.02, 0.1, 0.2]), np.array([0.01, 0.01, 0.04]), 1.0, np.
 
 
 def model(
-    excess: dict[tuple[int, str], float], turned: int = -1, *, warmed: int = -1, louder: float = 1.0, read_every: int = 1
+    excess: dict[tuple[int, str], float],
+    turned: int = -1,
+    *,
+    warmed: int = -1,
+    louder: float = 1.0,
+    read_every: int = 1,
+    channels: tuple[str, ...] = CHANNELS,
 ) -> CampaignModel:
     warm = np.linspace(25.0, 33.0, 1000)
     recordings = [
@@ -39,7 +45,8 @@ def model(
         for k in range(4)
     ]
     rest = NoiseLaw((1e-11, 0.0, 5e-11, 0.0))
-    noise = {(role, channel): law for channel in CHANNELS for role, law in (("ftr_x", rest), ("ftr_x, warming", rest.times(louder)))}
+    noise = {("ftr_x", channel): rest for channel in CHANNELS}
+    noise |= {("ftr_x, warming", channel): rest.times(louder if channel in channels else 1.0) for channel in CHANNELS}
     return cast(CampaignModel, SimpleNamespace(evidence=recordings, excess=excess, noise=noise))
 
 
@@ -68,8 +75,8 @@ def test_a_rate_table_does_things_besides_its_log() -> None:
 
 def test_what_a_moving_temperature_holds_beyond_all_effects_is_no_noise() -> None:
     """Of one or two records each by itself the noise is what they hold: it is measured against the records at rest."""
-    for healthy in (87.0, 325.0):
-        assert loudest(model({}, warmed=2, louder=healthy)) is None
+    for healthy, channels in ((87.0, CHANNELS), (325.0, ("amplitude",))):
+        assert loudest(model({}, warmed=2, louder=healthy, channels=channels)) is None
     strange = {(2, "amplitude"): 7.0}
     loud = loudest(model(strange, warmed=2, louder=780.0))
     assert loud is not None
@@ -77,6 +84,15 @@ def test_what_a_moving_temperature_holds_beyond_all_effects_is_no_noise() -> Non
     assert loud.unknown().depends_on == "temperature"
     # between readings of a second nobody knows how warm it was
     assert loudest(model(strange, warmed=2, louder=780.0, read_every=100)) is None
+
+
+@pytest.mark.parametrize("across", ["precession", "quadrature"])
+def test_across_a_wave_a_moving_temperature_makes_less_noise(across: str) -> None:
+    """Along it a late thermometer shows in the damping. A damping that peaks at one temperature was noise, 443 times that at rest."""
+    loud = loudest(model({}, warmed=2, louder=443.0, channels=(across,)))
+    assert loud is not None
+    assert (loud.channel, loud.warmed) == (across, True)
+    assert loudest(model({}, warmed=2, louder=34.0, channels=(across,))) is None
 
 
 def test_a_thermometer_may_err_in_a_frequency() -> None:
