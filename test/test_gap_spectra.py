@@ -239,8 +239,7 @@ def test_a_floor_that_rises_towards_the_carrier_is_no_line() -> None:
 def test_a_tone_keeps_its_frequency_while_the_carrier_moves() -> None:
     tone = find_tone(pick_spectra(records(np.random.default_rng(2), tone=(15041.7, 3e-6))), LINEAR)
     assert tone is not None
-    assert tone.name == "external_tone"
-    assert "pickoff_interference" in tone.alike
+    assert (tone.name, "pickoff_interference" in tone.alike) == ("external_tone", True)
     assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
     # what moves the pick-off by that much at 41.7 Hz from resonance
     assert tone.volts[0] == pytest.approx(3e-6 * 2 * np.pi * 41.55 / 8.0, rel=0.1)
@@ -267,19 +266,17 @@ def test_a_tone_that_no_record_shows_by_itself_stands_in_all_of_them() -> None:
         assert tone.volts[1] < 0.5 * tone.volts[0]
 
 
-def test_what_some_records_show_faintly_is_no_line_of_all() -> None:
+@pytest.mark.parametrize("seed", range(3))
+def test_what_some_records_show_faintly_is_no_line_of_all(seed: int) -> None:
     """Loops in three records of a healthy hemisphere answered at 2.5 Hz: that mean of 104 bins, of which twelve held it, was a hum."""
-    for seed in range(3):
-        plain, places = records(np.random.default_rng(seed), of_each=10), [4, 7, 12, 22, 25]
-        for k in places:
-            rows = plain[k].data.copy()
-            rows[:, [2, 4]] += 4.5e-7 * np.cos(2 * np.pi * 25.0 * plain[k].t)[:, None]
-            plain[k] = replace(plain[k], data=rows)
-        spectra = pick_spectra(plain)
-        power = np.array([s.at(np.array([25.0, -25.0])).mean() for s in spectra])
-        assert power[places].min() > 4.0
-        assert np.delete(power, places).mean() < 1.5
-        assert find_tone(spectra, LINEAR) is None
+    plain, places = records(np.random.default_rng(seed), of_each=10), [4, 7, 12, 22, 25]
+    for k in places:
+        hum = 4.5e-7 * np.cos(2 * np.pi * 25.0 * plain[k].t)[:, None] * np.isin(np.arange(len(COLUMNS)), (2, 4))
+        plain[k] = replace(plain[k], data=plain[k].data + hum)
+    spectra = pick_spectra(plain)
+    power = np.array([s.at(np.array([25.0, -25.0])).mean() for s in spectra])
+    assert power[places].min() > 4.0 > 1.5 > np.delete(power, places).mean()
+    assert find_tone(spectra, LINEAR) is None
 
 
 def test_an_image_of_the_carrier_by_a_converter_is_no_tone() -> None:
@@ -305,14 +302,12 @@ def test_a_mirror_is_folded_at_the_rows_rate_as_well() -> None:
     """Two carriers to 10 kHz and a side band, 71.4 Hz below: 53.6 Hz above it in 125 rows a second."""
     line = np.array([53.583])
     assert is_image(line, 5034.955, 1.0 / 12.0, 1.5, 125.0).all()
-    assert not is_image(line, 5034.955, 1.0 / 12.0, 1.5, 500.0).any()
-    assert not is_image(line, 5034.955, 1.0 / 12.0, 0.0, 125.0).any()
+    assert not (is_image(line, 5034.955, 1.0 / 12.0, 1.5, 500.0) | is_image(line, 5034.955, 1.0 / 12.0, 0.0, 125.0)).any()
 
 
 def test_an_image_of_another_temperature_is_no_witness() -> None:
     """A click in one record stands where the images of the warm records are: they saw their carriers, not the click."""
-    rng, cold, warm = np.random.default_rng(3), 14990.0, 14993.4
-    image = 30000.0 - warm
+    rng, cold, warm, image = np.random.default_rng(3), 14990.0, 14993.4, 30000.0 - 14993.4
     plain = records(rng, carrier_hz=(cold,))
     plain[1] = records(rng, carrier_hz=(cold,), tone=(image, 1e-5))[1]
     for k in (4, 7):

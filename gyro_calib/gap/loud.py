@@ -22,7 +22,7 @@ __all__ = ["Loud", "loudest"]
 #: power over that of its kind from which on a recording is not of its kind; those of some forty healthy campaigns came to 4.4
 _LOUD = 8.0
 #: power of a warmed recording over that of its mode at rest from which on it holds more than noise; along a wave, where the damping acts,
-#: one healthy hemisphere of trials came to 325, across it 40 healthy units to 7 and a practice hemisphere to 34
+#: one healthy hemisphere of trials came to 325, across it 27 healthy units to 7 and a practice hemisphere to 34
 _WARMED, _WARMED_ACROSS = 1000.0, 150.0
 
 
