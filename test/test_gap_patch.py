@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_gap_parts import moving
 
 from gyro_calib.cli.main import main
 from gyro_calib.device import draw_unit, load_device
@@ -17,6 +18,7 @@ from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import Diagnosis, FoundEffect, Gap, NextExperiment, Standing, diagnose
 from gyro_calib.gap.diagnosis import PatchedEstimate
 from gyro_calib.gap.drifts import said_course
+from gyro_calib.gap.forms import FORMS, GRADIENT_DAMPS
 from gyro_calib.gap.patch import constant_rate, patch_notes, patched_device, with_factory_data
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.hdf5 import write_campaign_h5
@@ -157,6 +159,27 @@ def test_damping_that_bends_is_what_its_law_of_temperature_leaves():
     # the nuisance counts p' = +T^2 p, the effect -c T^2 p
     expected = patched.resonator.decay_rate(TEMPERATURE) + 0.01 * rise + (-1e-3 - 3e-4) * rise**2
     np.testing.assert_allclose(rates, expected, atol=1e-6)
+
+
+def test_what_a_gradient_damps_is_in_the_patched_device():
+    """By the fit's column of it, so that the device file's effect of its own does to a wave what the column does."""
+    previous, tau = load_device("ring_15k"), 7.8
+    sizes = {"k_c": Quantity(1e-5, 1e-6, "rad/s/K"), "k_s": Quantity(4e-5, 1e-6, "rad/s/K"), "tau": Quantity(tau, 0.1, "s")}
+    found = FoundEffect("thermal_split_lag", "", ("thermal_split_lag",), 0.9, sizes, "environment", "thermal_split_lag", 100.0)
+    estimate = estimate_of(previous, turned=False, values={GRADIENT_DAMPS[0]: 3.23e-6})
+    patched = patched_device(previous, diagnosis_of(estimate, [found], [standing("thermal_split_lag", "present")]))
+    assert patched.effects["thermal_damping_lag"] == {"c": pytest.approx(3.23e-6 * GRADIENT_DAMPS[1]), "tau": tau}
+    notes = patch_notes(patched, diagnosis_of(estimate, [found]))
+    assert [n for n in notes if "thermal_damping_lag" in n] == [
+        "What the gradient of thermal_split_lag damps, -3.23e-05 1/s/K, is thermal_damping_lag here."
+    ]
+    signals, linear = moving(0.0)
+    signals.__dict__["temperature_k"] = 0.5 * signals.time_s
+    column = {f"thermal_split_lag.{p.parameter}": p.signal for p in FORMS["thermal_split_lag"].parts(signals, linear, {"tau": tau})}
+    (damping,) = FORMS["thermal_damping_lag"].parts(signals, linear, {"tau": tau})
+    np.testing.assert_allclose(column[GRADIENT_DAMPS[0]], GRADIENT_DAMPS[1] * damping.signal)
+    # what was not named is in no device file
+    assert "thermal_damping_lag" not in patched_device(previous, diagnosis_of(estimate)).effects
 
 
 def test_a_healthy_bias_that_follows_the_temperature_is_in_the_patched_device():

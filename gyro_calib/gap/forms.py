@@ -24,7 +24,7 @@ from .pumps import driven_pump, steady_pump
 from .signals import Signals
 from .warm_forms import bent_damping, turned_drive, turned_reading
 
-__all__ = ["AT_REST", "FORMS"]
+__all__ = ["AT_REST", "FORMS", "GRADIENT_DAMPS"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -40,6 +40,8 @@ _UNLIKE: dict[str, ComplexArray] = {
 #: what may come with an effect, over it: damping that a gradient of temperature makes unequal, over the split that it makes; gain of the
 #: drives, which goes as the charged bias, over the half split [s/rad]; what feeds through to the other axis, over what does to its own
 _DAMPED, _CHARGED_S, _ACROSS = 0.3, 3.0, 0.3
+#: damping alike along all directions that a gradient makes: its column in a fit, and `thermal_damping_lag.c` [1/s/K] for one unit of that
+GRADIENT_DAMPS = (f"thermal_split_lag.{REST}_damped", -_DAMPED / UNEQUAL)
 #: of these what lets one axis see the other
 _CROSSED = ("mixed", "late")
 _STEP = 1e-4

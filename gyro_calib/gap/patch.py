@@ -25,6 +25,7 @@ from ..estimation.separation import Priors
 from ..units import DEG_H
 from .diagnosis import Diagnosis, PatchedEstimate
 from .drifts import BENT
+from .forms import GRADIENT_DAMPS
 
 __all__ = ["constant_rate", "patch_notes", "patched_device", "with_factory_data"]
 
@@ -146,7 +147,12 @@ def patch_notes(device: Device, diagnosis: Diagnosis) -> tuple[str, ...]:
     bent = [e.name for e in diagnosis.effects if BENT in e.title]
     if bent:
         notes.append(f"Drifts of a device file are straight: the bent course of {', '.join(bent)} is its mean over these recordings there.")
-    kept = sorted(set(device.effects) - {e.registry_name for e in diagnosis.effects} - {*_THERMAL, *_RENAMED})
+    new = {e.registry_name for e in diagnosis.effects}
+    if _gradient_damps(diagnosis, estimate):
+        damping = device.effects["thermal_damping_lag"]["c"]
+        notes.append(f"What the gradient of thermal_split_lag damps, {damping:.3g} 1/s/K, is thermal_damping_lag here.")
+        new.add("thermal_damping_lag")
+    kept = sorted(set(device.effects) - new - {*_THERMAL, *_RENAMED})
     if kept:
         notes.append(f"Kept from the previous file, because these recordings cannot test them: {', '.join(kept)}.")
     return tuple(notes)
@@ -325,6 +331,9 @@ def _effects(device: Device, diagnosis: Diagnosis, estimate: PatchedEstimate) ->
     for effect in diagnosis.effects:
         known = {p.name for p in EFFECTS[effect.registry_name].parameters}
         sizes[effect.registry_name] = {key: quantity.value for key, quantity in effect.parameters.items() if key in known}
+    if _gradient_damps(diagnosis, estimate):
+        column, per_unit = GRADIENT_DAMPS
+        sizes["thermal_damping_lag"] = {"c": per_unit * estimate.values[column], "tau": sizes["thermal_split_lag"]["tau"]}
     for name, nuisance in _RENAMED.items():
         if nuisance in estimate.values:
             (parameter,) = (p.name for p in EFFECTS[name].parameters)
@@ -332,6 +341,12 @@ def _effects(device: Device, diagnosis: Diagnosis, estimate: PatchedEstimate) ->
             found = sizes[name][parameter] if name in {e.registry_name for e in diagnosis.effects} else 0.0
             sizes[name] = {parameter: found + _healthy(name, estimate)}
     return {name: _within(name, values) for name, values in sizes.items()}
+
+
+def _gradient_damps(diagnosis: Diagnosis, estimate: PatchedEstimate) -> bool:
+    """Whether a gradient was found: what it damps, most of what some show, is an effect of its own in a device file."""
+    names = {e.registry_name for e in diagnosis.effects}
+    return GRADIENT_DAMPS[0] in estimate.values and "thermal_split_lag" in names and "thermal_damping_lag" not in names
 
 
 def _healthy(name: str, estimate: PatchedEstimate) -> float:
