@@ -30,6 +30,7 @@ from .model import CampaignModel, look_at
 from .near_tones import find_near_tone
 from .next_experiment import experiment_for, next_experiment
 from .odd_one_out import check_alike
+from .open_lines import find_open_line
 from .periods import find_period
 from .preflight import check_campaign, usable
 from .probabilities import beside_unknown, none_or_unknown
@@ -96,7 +97,8 @@ def diagnose(
     report(0.7, "selecting effects")
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
-    beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear))
+    open_line = find_open_line(recordings, model.linear, model.evidence.omega0_rad_s)
+    beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear), open_line)
     beside = with_coarse_drive(beside, model, recordings, left_out)
     beside = with_flickers(beside, model.evidence, model.linear, model.noise, left_out)
     selection = select_effects(model)

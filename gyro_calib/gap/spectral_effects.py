@@ -14,6 +14,7 @@ from ..recording.recording import Recording
 from .converter_steps import ConverterSteps, converter_steps
 from .diagnosis import FoundEffect, Standing, Unknown
 from .noise_growth import NoiseGrowth, noise_growth
+from .open_lines import OpenLine
 from .parts import Linear
 from .reference_spur import is_driven, phase_swing, steered_swing
 from .spectra import near_line, pick_spectra, plain_records
@@ -67,6 +68,7 @@ def spectral_effects(
     without: Iterable[str] = (),
     swings: Sequence[Swing] = (),
     near_tone: Tone | None = None,
+    open_line: OpenLine | None = None,
 ) -> SpectralEffects:
     """Lines that no command asks for, and a floor that grows with the amplitude.
 
@@ -80,6 +82,8 @@ def spectral_effects(
         What goes to and fro in the slow flow.
     near_tone : Tone or None
         Within the signal, where the spectra hear nothing.
+    open_line : OpenLine or None
+        Beside open drives, where held waves show nothing.
     """
     left_out = set(without)
     spectra = pick_spectra(recordings)
@@ -109,6 +113,8 @@ def spectral_effects(
     rippling = driven or _rippling_gain(tone, swing)
     if any(e.name == "reference_spur" for e in effects):
         rippling, growth = None, None
+    elif tone is None and not swings:
+        rippling = _rippling_drive(open_line)
     if rippling is None and growth is not None and growth.gain_sigma > SIGMA and "amplitude_noise" not in left_out:
         effects.append(_noisy_gain(growth))
     rounded = steps is not None and steps.undithered and "pickoff_quantisation" not in left_out
@@ -229,6 +235,15 @@ def _rippling_gain(tone: Tone | None, swing: tuple[float, float] | None) -> Unkn
     what, phase = ("gain", "in phase") if swing is None else ("phase", "in quadrature")
     form = f"x times a {what} that goes to and fro at {tone.frequency_hz:.3g} Hz"
     return Unknown("drive or pick-off", phase, form, "time", tone.name, 2.0 * tone.log_evidence)
+
+
+def _rippling_drive(line: OpenLine | None) -> Unknown | None:
+    if line is None:
+        return None
+    what = {None: "a gain or a phase", False: "a gain", True: "a phase"}[line.of_phase]
+    form = f"u times {what} that goes to and fro at {line.frequency_hz:.3g} Hz by {line.share:.2g}"
+    phase = "in quadrature" if line.of_phase else "in phase"
+    return Unknown("drive", phase, form, "time", "reference_spur" if line.of_phase else "drive_gain_flicker", 2.0 * line.log_evidence)
 
 
 def _noisy_clock(growth: NoiseGrowth | None) -> Unknown | None:
