@@ -123,7 +123,7 @@ def test_calibrate_says_why_it_cannot(tmp_path, capsys):
 def test_json_file_that_cannot_be_written(recording, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert run("calibrate", recording, "--json", tmp_path / "file" / "result.json") == 1
-    assert "JSON file must be writable" in capsys.readouterr().err
+    assert "Output --json must be writable" in capsys.readouterr().err
 
 
 def test_bag_gives_the_same_result(tmp_path, capsys):

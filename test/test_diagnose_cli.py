@@ -13,7 +13,9 @@ import pytest
 from bench_data import BENCH, needs_bench
 
 from gyro_calib.cli.main import build_parser, main
+from gyro_calib.cli.simulate import _device as _simulated_device
 from gyro_calib.device import draw_unit, load_device
+from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import Diagnosis, FoundEffect, Gap, NextExperiment, Standing, Unknown, diagnose
 from gyro_calib.gap.diagnosis import Alternative
@@ -150,6 +152,54 @@ def test_json_is_written_though_the_terminal_is_gone(recording, diagnosed, tmp_p
     with pytest.raises(BrokenPipeError):
         arguments.run(arguments)
     assert json.loads((tmp_path / "gap.json").read_text())["verdict"] == "effects"
+
+
+def test_json_words_an_effect_as_the_simulator_takes_it(outputs):
+    """Per axis the parameters are those of a variant with a name of its own."""
+    (effect,) = outputs[0]["effects"]
+    arguments = build_parser().parse_args(["simulate", "ring_15k", "--plan", "static", "--steps", *_options(effect["simulate"])])
+    effects = _simulated_device(arguments).effects
+    assert effects == {"duffing_axes": {name: effect["parameters"][name]["value"] for name in ("k_x", "k_y")}}
+
+
+def _options(sizes):
+    return [word for size in sizes for word in ("--effect", size)]
+
+
+def test_sizes_for_the_simulator_keep_to_what_it_takes():
+    sizes = {"c_x": Quantity(-0.001, 0.01, "V/s"), "c_y": Quantity(0.5, 0.01, "V/s"), "share": Quantity(1.0, 0.1, "1")}
+    found = FoundEffect("coulomb_friction", "", ("coulomb_friction",), 0.9, sizes, "dynamics", "coulomb_friction_axes", 300.0)
+    least = EFFECTS["coulomb_friction_axes"].parameter("c_x").lower
+    assert found.to_json()["simulate"] == [f"coulomb_friction_axes.c_x={least!r}", "coulomb_friction_axes.c_y=0.5"]
+
+
+@pytest.mark.parametrize("option", ["--html", "--json", "--patched-device"])
+def test_an_output_that_cannot_be_written_is_said_before_the_diagnosis(recording, tmp_path, monkeypatch, capsys, option):
+    monkeypatch.setattr("gyro_calib.gap.diagnose", lambda *arguments, **options: pytest.fail("diagnosed"))
+    (tmp_path / "file").write_text("")
+    target = tmp_path / "file" / "out"
+    assert main(["diagnose", str(recording), "--device", "ring_15k", option, str(target)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"gyro-calib diagnose: Output {option} must be writable, but got Not a directory for {target}.")
+
+
+def test_a_page_that_cannot_be_written_after_all_is_one_line(recording, diagnosed, tmp_path, monkeypatch, capsys):
+    def full(*arguments, **options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("gyro_calib.report.page.tempfile.mkstemp", full)
+    assert main(["diagnose", str(recording), "--html", str(tmp_path / "gap.html")]) == 1
+    out = capsys.readouterr()
+    assert "Which effects" in out.out
+    assert out.err.splitlines()[-1].startswith("gyro-calib diagnose: Page must be writable, but got No space left on device for ")
+
+
+def test_a_description_of_another_kind_is_refused_before_the_diagnosis(recording, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gyro_calib.gap.diagnose", lambda *arguments, **options: pytest.fail("diagnosed"))
+    assert main(["diagnose", str(recording), "--device", "hrg_sun2024", "--patched-device", str(tmp_path / "p.yaml")]) == 1
+    err = capsys.readouterr().err
+    assert "nominal frequency of about 15000 Hz, but got 'hrg_sun2024' of 5000 Hz" in err
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("across", "by_axis"), [(0.0, False), (5.0, True)])

@@ -11,6 +11,7 @@ import pytest
 from added_effects import with_effects
 
 from gyro_calib.device import draw_unit, load_device
+from gyro_calib.effects import EFFECTS
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap.columns import form_columns
 from gyro_calib.gap.forms import FORMS
@@ -20,7 +21,7 @@ from gyro_calib.gap.parts import Form, Linear, Part, Setting
 from gyro_calib.gap.screen import Candidate
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import Signals
-from gyro_calib.gap.standing import standings
+from gyro_calib.gap.standing import _status, standings
 from gyro_calib.simulation import GyroSimulator
 from gyro_calib.trial.injected import with_columns
 
@@ -187,6 +188,16 @@ def test_a_healthy_temperature_run_has_no_peak() -> None:
     m = model()
     found = m.courses.best(m.screener, m.whitener, "temperature")
     assert found is None or found[0].gain < 25.0
+
+
+def test_a_limit_beyond_any_device_is_none() -> None:
+    """Three side bands left a damping by the square of the velocity open above 21 778 1/s/V^2, where a device has five at most."""
+    m = model()
+    (split,) = m.screener.screened(m.candidates["thermal_split"])
+    bound = EFFECTS["thermal_split"].parameters[0].upper
+    status, limit = _status(replace(split, sd=np.full_like(split.sd, bound)))
+    assert (status, limit) == ("not testable", None)
+    assert _status(split)[1] is not None
 
 
 def test_an_effect_is_excluded_above_what_its_worst_parameter_leaves() -> None:

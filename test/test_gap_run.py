@@ -6,6 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ import gyro_calib.gap
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_plan
+from gyro_calib.gap import Unknown
 from gyro_calib.nodes.gap_run import GapRun
 from gyro_calib.nodes.run_manager import RunManager, RunState, RunStatus
+from gyro_calib.quantity import Quantity
 from gyro_calib.recording.command import Command
 from gyro_calib.recording.load import load_campaign
 from gyro_calib.recording.recording import Campaign
@@ -97,6 +100,20 @@ def test_a_clean_gyro_asks_for_no_attention(diagnose: Replaced, tmp_path: Path) 
     diagnose.verdict = "none"
     status = Bench(tmp_path).run()
     assert (status.state, status.attention, status.facts["verdict"]) == (RunState.DONE, False, "none")
+
+
+def test_figures_that_say_nothing_are_no_results_and_no_kin_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def thin(campaign: Campaign, *, on_progress: Callable[[float, str], None]) -> Any:
+        made = make_diagnosis(campaign.device_id, "unknown", len(campaign))
+        gap = replace(made.gap, bias_after=Quantity(0.0, 4.3e8, "deg/h"))
+        return replace(made, gap=gap, unknown=Unknown("drive", "in phase", "u", "recording", "", 50.0))
+
+    monkeypatch.setattr(gyro_calib.gap, "diagnose", thin)
+    status = Bench(tmp_path).run()
+    assert status.facts["unknown.nearest"] == "none"
+    assert {"gap.scale_factor.before", "gap.scale_factor.after"} <= set(status.results)
+    assert not {"gap.bias.before", "gap.bias.after"} & set(status.results)
+    assert json.loads(Path(status.facts["gap.json"]).read_text())["unknown"]["nearest"] is None
 
 
 def test_a_cancel_during_the_diagnosis_leaves_nothing_beside_the_records(diagnose: Replaced, tmp_path: Path) -> None:

@@ -312,6 +312,42 @@ def test_words_of_a_file_are_understood_as_parameters(tmp_path):
     assert begins == pytest.approx(2.5, abs=2e-3)
 
 
+def test_a_driver_declares_what_it_has_not_as_an_empty_text(tmp_path):
+    node, rows = "/gyro/gyro_sim", stream("ftr_x", "ftr_x", n=3000)
+    words = ("applied_rate", "open_drive", "body_excitation", "stiffness_control", "amplitude_control", "excitation", "excitation.kind")
+    with Recorder(tmp_path / "bag") as bag:
+        bag.parameters(node, facts() | {"mode": "ftr_x"} | dict.fromkeys(words, "") | {"duration_s": " "}, new=True)
+        bag.blocks("/gyro/channels", rows[0])
+        bag.parameters(node, {"applied_rate": json.dumps({"t_s": [0.0], "deg_s": [5.0]}), "device_id": ""})
+        bag.blocks("/gyro/channels", rows[1])
+    still, turned = load_campaign(tmp_path / "bag", check=False)
+    assert still.command == Command("ftr_x")
+    assert still.device_id == "ring-0001"
+    assert not set(still.extras) & {*words, "duration_s"}
+    assert [is_turned(r) for r in (still, turned)] == [False, True]
+    assert not applied_rate(still)[0].any()
+
+
+def test_words_that_are_wrong_are_told_with_their_recording(tmp_path):
+    node, (rows,) = "/gyro/gyro_sim", stream("ftr_x", n=3000)
+    with Recorder(tmp_path / "bag") as bag:
+        bag.parameters(node, facts() | {"mode": "ftr_x", "recording.label": "table_x", "applied_rate": "{t_s"}, new=True)
+        bag.blocks("/gyro/channels", rows)
+    (table,) = load_campaign(tmp_path / "bag", check=False)
+    with pytest.raises(DataError, match=r"Recording 'table_x': Attribute applied_rate must hold t_s and deg_s, but got '{t_s'"):
+        applied_rate(table)
+    with Recorder(tmp_path / "driven") as bag:
+        bag.parameters(node, facts() | {"mode": "loops_off", "open_drive": "{freq"}, new=True)
+        bag.blocks("/gyro/channels", rows)
+    with pytest.raises(DataError, match=r"Recording 'segment_0': Attribute open_drive must be a JSON object, but got '{freq'"):
+        load_campaign(tmp_path / "driven", check=False)
+    with Recorder(tmp_path / "modeless") as bag:
+        bag.parameters(node, facts() | {"mode": "", "excitation.kind": "none"}, new=True)
+        bag.blocks("/gyro/channels", rows)
+    with pytest.raises(DataError, match=r"Recording 'segment_0': Mode must be one of .* but got ''"):
+        load_campaign(tmp_path / "modeless", check=False)
+
+
 @pytest.mark.ros
 def test_messages_of_rclpy_are_read(tmp_path):
     """Bytes as rclpy serialises them, not as rosbags does."""

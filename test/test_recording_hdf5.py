@@ -13,6 +13,7 @@ from recording_samples import FACTORY, make_campaign, make_rows
 
 from gyro_calib.errors import DataError
 from gyro_calib.recording import COLUMNS, Campaign, Command, Excitation, Recording, Setpoints, read_campaign_h5, write_campaign_h5
+from gyro_calib.recording.applied_rate import is_turned
 
 
 def write_plainly(path, rows=None, *, attributes=None, root=None, names=None, skip=(), group="recording_000", dtype="f8"):
@@ -154,6 +155,31 @@ def test_mode_and_set_point_may_be_left_to_the_data(tmp_path):
     recording = read_campaign_h5(write_plainly(tmp_path / "c.h5", rows, attributes={"oscillator_axis": "Y"})).recordings[0]
     assert recording.command.mode == "ftr_y"
     assert recording.command.setpoints.amplitude_v == pytest.approx(0.6, rel=1e-4)
+
+
+def test_an_empty_attribute_says_nothing(tmp_path):
+    words = dict.fromkeys(("applied_rate", "excitation", "open_drive", "compensation", "stiffness_control", "amplitude_set_V", "label"), "")
+    path = write_plainly(tmp_path / "c.h5", attributes={"mode": "ftr_x", **words, "sample_rate_hz": b" "}, root={"factory": ""})
+    (recording,) = (campaign := read_campaign_h5(path, check=False))
+    assert campaign.factory == {}
+    assert recording.command.excitation == Excitation()
+    assert recording.label == "recording_000"
+    assert not is_turned(recording)
+    assert set(recording.extras) == {"mode"}
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({"mode": "foo"}, "Attribute mode must be one of"),
+        ({"mode": "ftr_x", "excitation": "{m:0.1"}, "Attribute excitation must be a JSON object"),
+        ({"mode": "ftr_x", "compensation": "[1, 2, 3]"}, "Attribute compensation must be a 2x2 matrix"),
+    ],
+)
+def test_an_attribute_that_is_wrong_is_told_with_its_recording(tmp_path, attributes, message):
+    path = write_plainly(tmp_path / "c.h5", attributes={"label": "side_x", **attributes})
+    with pytest.raises(DataError, match=f"c.h5: Recording 'side_x': {message}"):
+        read_campaign_h5(path)
 
 
 def test_constant_temperature_may_be_an_attribute(tmp_path):

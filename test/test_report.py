@@ -270,6 +270,21 @@ def test_terminal_shows_the_same_cells():
         assert words in text
 
 
+@pytest.mark.parametrize(("width", "said"), [(None, ""), (40, ""), (24, "No room here for: remark.")])
+def test_a_narrow_terminal_leaves_out_what_is_optional(width, said):
+    """Cells fold between words only as long as that is enough."""
+    from rich.console import Console
+
+    table = Table("", ("name", "value", "remark"), (("scale_factor", "0.00079271 ± 5e-06 V", "a word or two"),), optional=(2,))
+    console = Console(width=width or 100, record=True, file=io.StringIO())
+    console.print(to_rich(table, width))
+    text = " ".join(console.export_text().split())
+    assert "…" not in text
+    assert ("remark" in text.split("No room")[0], said in text) == (not said, True)
+    for words in ("scale_factor", "0.00079271", "5e-06"):
+        assert (words in text) is (words != "scale_factor" or width != 24)
+
+
 def test_plain_page_parts():
     page = Page(
         "t", "s", "v", None, (Tile("l", "1 V", "note", "2 V"),), (Panel("p", "<svg></svg>", "c"),), (Table("T", ("a", "b"), (("x", "1"),)),)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
+from .outputs import check_outputs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -69,6 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_plot_suffix(arguments.plot)
     if arguments.html is not None:
         require_matplotlib()
+    check_outputs(arguments, "json", "plot", "html")
     record = _read(arguments)
     with spinner("analysing"):
         analysis = analyse_allan(record.rate_rad_s, record.sample_rate_hz, min_tau_s=arguments.min_tau)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .console import non_negative_int, positive_int, print_table, print_warnings, progress_bar, say, spinner, write_json
+from .outputs import check_outputs
 
 if TYPE_CHECKING:
     from ..report.table import Table
@@ -37,6 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.plot is not None:
         require_plot_suffix(arguments.plot)
+    check_outputs(arguments, "json", "log", "plot")
     with progress_bar("blind trials", lines=True) as report:
         result = run_blind_trials(
             arguments.trials,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
+from .outputs import check_output, check_outputs
 
 if TYPE_CHECKING:
     from ..estimation import CalibrationResult
@@ -56,8 +57,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.html is not None:
         require_matplotlib()
+    check_outputs(arguments, "json", "html")
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
+    if arguments.record is not None:
+        from ..calibration import RecordStore
+
+        check_output("--record", RecordStore(arguments.record, campaign.device_id).path)
     campaign = _with_factory(campaign, arguments.factory_record)
     with progress_bar("estimating") as report:
         result = calibrate(

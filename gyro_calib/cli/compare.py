@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .console import print_table, print_warnings, say, spinner, write_json
+from .outputs import check_outputs
 
 if TYPE_CHECKING:
     from ..calibration import CalibrationRecord
@@ -32,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.html is not None:
         require_matplotlib()
+    check_outputs(arguments, "json", "html")
     changes = changes_between(_records(arguments.records))
     shown = arguments.json is None or str(arguments.json) != "-"
     if shown:

@@ -38,8 +38,9 @@ def print_table(table: Any) -> None:
 
     from ..report.table import to_rich
 
-    # a pipe or a log has no width of its own: 80 columns would cut every figure
-    Console(width=None if sys.stdout.isatty() else 120).print(to_rich(table))
+    # a pipe or a log has no width of its own, and 80 columns would fold every figure
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(to_rich(table, console.width))
 
 
 def print_warnings(warnings: Iterable[str]) -> None:

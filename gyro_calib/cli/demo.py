@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 from .console import non_negative_int, print_table, print_warnings, say, spinner, write_json
+from .outputs import check_outputs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         from .demo_session import DemoSettings, play
 
     require_matplotlib()
+    check_outputs(arguments, "json", "out")
     began = time.monotonic()
     settings = DemoSettings(arguments.device, arguments.seed, arguments.quality, arguments.speed, arguments.out.absolute())
     outcome = play(settings)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
+from .outputs import check_outputs
 
 if TYPE_CHECKING:
     from ..device import Device
@@ -42,8 +43,13 @@ def run(arguments: argparse.Namespace) -> int:
     device = _device(arguments.device)
     if arguments.html is not None:
         require_matplotlib()
+    check_outputs(arguments, "json", "html", "patched_device")
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
+    if device is not None:
+        from ..gap.patch import check_kind
+
+        check_kind(device, campaign.factory)
     with progress_bar("diagnosing") as report:
         diagnosis = diagnose(campaign, on_progress=report)
     diagnosis = with_provenance(diagnosis, arguments.recordings)

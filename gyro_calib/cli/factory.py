@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .console import print_table, print_warnings, progress_bar, say, spinner, write_json
+from .outputs import check_output, check_outputs
 
 if TYPE_CHECKING:
     from ..estimation.factory import FactoryResult
@@ -45,8 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     known = None
     if arguments.known_rate is not None:
         known = Quantity(arguments.known_rate * DEG_H, abs(arguments.known_rate_sd) * DEG_H, "rad/s")
+    check_outputs(arguments, "json")
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, topic=arguments.topic, device_id=arguments.device_id, on_progress=report)
+    if arguments.store is not None:
+        check_output("--store", FactoryStore(arguments.store, campaign.device_id).path)
     with progress_bar("estimating") as report:
         result = calibrate_factory(campaign, known_rate=known, on_progress=lambda fraction: report(fraction, ""))
     quiet = arguments.json is not None and str(arguments.json) == "-"

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 
 from .console import print_table, print_warnings, progress_bar, spinner, write_json
+from .outputs import check_outputs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,6 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
         from ..recording.load import load_campaign
         from ..report.table import Table, quantity_cells
 
+    check_outputs(arguments, "json")
     with progress_bar("reading") as report:
         campaign = load_campaign(*arguments.recordings, on_progress=report)
     with spinner("estimating"):

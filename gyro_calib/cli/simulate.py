@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import non_negative_int, print_table, progress_bar, say, spinner
+from .outputs import check_outputs
 
 if TYPE_CHECKING:
     from ..device import Device
@@ -78,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.steps:
         _print_steps(plan)
         return 0
+    check_outputs(arguments, "out")
     stem = f"{device.device_id}_{plan.name}"
     target = arguments.out / (f"{stem}.h5" if arguments.format == "h5" else stem)
     if target.exists():

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import positive_int, print_table, print_warnings, progress_bar, say, spinner, write_json
+from .outputs import check_outputs
 
 if TYPE_CHECKING:
     from ..report.table import Table
@@ -37,6 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     study = find_study(arguments.name)
     if arguments.plot is not None:
         require_plot_suffix(arguments.plot)
+    check_outputs(arguments, "json", "plot")
     seeds = range(arguments.seeds or study.default_seeds)
     with progress_bar(study.name) as report:
         result = run_study(study, seeds, jobs=arguments.jobs, on_done=lambda done, total: report(done / total, f"{done} of {total} seeds"))

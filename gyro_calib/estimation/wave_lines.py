@@ -91,5 +91,7 @@ def quiet_lines(recording: Recording, highest_signal_hz: float, speed_rad_s: flo
     excitation = recording.command.excitation
     if excitation.kind.endswith("modulation"):
         busy = excitation.frequency_hz * np.arange(1, 8)
-        spaced = [f for f in spaced if np.min(np.abs(busy - f)) > 1.7 * step]
+        # of three periods there is nothing between the side bands: then above them
+        beyond = [float(busy[-1]) + k * step for k in (2.0, 3.3, 4.6, 5.9)]
+        spaced = [f for f in spaced if np.min(np.abs(busy - f)) > 1.7 * step] or beyond
     return [float(f) for f in spaced]

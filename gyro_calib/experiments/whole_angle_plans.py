@@ -61,8 +61,10 @@ SPEEDS: dict[str, WaveQuality] = {
 SHARES = (1.0, 1.5, 2.0)
 #: how much longer than a nominal period, and how far above a drift of unbalanced forcers (their errors over tau) the precession is
 MARGIN, ABOVE_DRIFT, UNBALANCE = 1.08, 3.0, 0.03
-#: share of the converters' range for precession at most, for ring-down and for stiffness control
+#: share of the converters' range for precession and ring-down at most, for ring-down and for stiffness control
 MOST_SHARE, RING_SHARE, STIFFNESS_SHARE = 0.7, 0.4, 0.2
+#: rate of a ring-down's drive over the decay that a wave needs to come up soon, and to come up at all
+RINGS_UP, LEAST_RINGS_UP = 1.5, 1.2
 #: time for the wave to come up and the loops to settle after loops off or a change of axis, and after another command [s]
 PLACE_SETTLE_S, SETTLE_S = 8.0, 2.0
 #: for the loops to follow a step of the stiffness control [s]; recorded from the step on, a hemisphere's gain comes out 0.6 % high
@@ -145,8 +147,9 @@ def scale_factor_steps(factory: Mapping[str, Any], quality: str) -> list[Step]:
     q = _quality(quality)
     amplitude, gain, full = _amplitude(factory), nominal_gain(factory), _full_scale(factory)
     decay = nominal_decay(factory)
-    ratio = RING_SHARE * full / amplitude
-    if ratio * gain < 1.2 * decay:
+    # a wave that decays fast takes more of its drives than the usual share, if they have it
+    ratio = min(max(RING_SHARE * full / amplitude, RINGS_UP * decay / gain), MOST_SHARE * full / amplitude)
+    if ratio * gain < LEAST_RINGS_UP * decay:
         raise DataError(
             f"Drive must be able to ring the wave up, but {ratio:.3g} V/V make {ratio * gain:.3g} /s against a decay of {decay:.3g} /s. "
             "Check nominal_q, dac_full_scale_V and nominal_scale_factor_v_per_rad_s in the factory data."

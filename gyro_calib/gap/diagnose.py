@@ -16,6 +16,7 @@ from ..recording.recording import Campaign
 from ..units import DEG_H, PPM
 from .candidates import registry_name
 from .coarse_drive import with_coarse_drive
+from .commanded import check_commanded
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
 from .flicker_effects import FLICKERS, with_flickers, without_walked
@@ -30,6 +31,8 @@ from .model import CampaignModel, look_at
 from .near_tones import find_near_tone
 from .next_experiment import experiment_for, next_experiment
 from .odd_one_out import check_alike
+from .one_clock import on_one_clock
+from .one_device import check_one_device, said_of_decay, said_of_reference
 from .open_lines import find_open_line
 from .periods import find_period
 from .preflight import check_campaign, usable
@@ -61,6 +64,8 @@ _PLACES = (
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
 #: sd of the share that is closed, beyond which it is no figure to be told
 _UNKNOWN_SHARE = 0.5
+#: share of the effects that cannot be tested, from which on none found is no more than half an answer: the practice campaigns have 0.08
+_MUCH_UNTESTED = 0.25
 
 
 def diagnose(
@@ -88,12 +93,16 @@ def diagnose(
     begun = time.monotonic()
     report = on_progress or (lambda fraction, text: None)
     warnings = check_campaign(campaign)
-    recordings = usable(campaign)
+    recordings, said = on_one_clock(usable(campaign))
+    warnings += [*said, *said_of_reference(recordings, campaign.factory)]
+    check_one_device(recordings)
     kappa, f0, q = (_factory(campaign, name) for name in ("angular_gain_kappa", "nominal_f0_hz", "nominal_q"))
+    check_commanded(recordings, math.pi * f0 / q)
     check_alike(recordings, kappa)
     left_out = tuple(without)
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
-    warnings = [*warnings, *said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
+    late = (*said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s))
+    warnings = [*warnings, *said_of_decay(model.linear.A, math.pi * f0 / q), *late]
     report(0.7, "selecting effects")
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
@@ -125,7 +134,7 @@ def diagnose(
         or (None if beside.effects else _more_than_they_say(model, selection, shrunk))
     )
     unknown = unknown or (None if beside.effects else _within_recordings(flows, swings, bool(effects)))
-    if (loud := loudest(model)) is not None:
+    if (loud := loudest(model, rich)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
     # of the slow flow, and of what no name fits in it, what the loops hold says nothing
@@ -138,7 +147,7 @@ def diagnose(
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
-        summary=_summary(verdict, effects, unknown, shrunk),
+        summary=_summary(verdict, effects, unknown, shrunk, lines),
         effects=effects,
         unknown=unknown,
         map=gap_map(model, model.base),
@@ -343,9 +352,14 @@ def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:
     )
 
 
-def _summary(verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | None, shrunk: Shrinkage) -> str:
+def _summary(
+    verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | None, shrunk: Shrinkage, lines: tuple[Standing, ...] = ()
+) -> str:
     if verdict == "none":
-        return f"None: the linear device explains all {shrunk.dof} unseen figures to {shrunk.rms_before:.2f} of their noise."
+        untested = sum(s.status == "not testable" for s in lines)
+        but = f", but {untested} of {len(lines)} effects cannot be tested with these recordings: see the list of those not testable"
+        explained = f"None: the linear device explains all {shrunk.dof} unseen figures to {shrunk.rms_before:.2f} of their noise"
+        return f"{explained}{but if untested > _MUCH_UNTESTED * len(lines) else ''}."
     if verdict == "not_testable":
         return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
     if unknown is not None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects import EFFECTS
 from ..quantity import Quantity
 from .gap_map import Cell
 
@@ -20,6 +21,8 @@ SCHEMA = 1
 _MAP_CELLS = 60
 #: two axes of an effect are unlike beyond so many standard deviations and this share: pick-offs alone make 6 % of a cubic one
 _UNLIKE_SD, _UNLIKE = 4.0, 0.1
+#: sd beyond which a rate [deg/h] and a change of the scale factor [ppm] are not told: 1000 deg/s, and all of it
+_MOST = {"bias": 3.6e6, "scale": 1e6}
 #: on what something unknown depends that is of some experiments and has no form
 _OF_EXPERIMENTS = ("recording", "experiment")
 
@@ -43,7 +46,7 @@ class FoundEffect:
     location : str
         dynamics, drive, pick-off, electronics, environment.
     registry_name : str
-        Name of the variant in the registry (a patched device uses it).
+        Name of the variant in the registry, whose parameters :attr:`parameters` are: that of a device file and of ``simulate --effect``.
     gain : float
         Chi-square that it takes away.
     harmless : bool
@@ -72,7 +75,16 @@ class FoundEffect:
             "registry_name": self.registry_name,
             "chi_square": self.gain,
             "harmless": self.harmless,
+            "simulate": [f"{self.registry_name}.{name}={value!r}" for name, value in self.in_device_file().items()],
         }
+
+    def in_device_file(self) -> dict[str, float]:
+        """Sizes as the part ``effects`` of a device file has them under :attr:`registry_name`.
+
+        Within the registry's bounds: a noisy estimate of what cannot be negative may be just below zero.
+        """
+        known = {p.name: p for p in EFFECTS[self.registry_name].parameters}
+        return {name: min(max(q.value, known[name].lower), known[name].upper) for name, q in self.parameters.items() if name in known}
 
     def _by_axis(self) -> list[str]:
         """The variant by axis, if the axes are less alike than a unit's pick-offs make them, or something acts across them."""
@@ -94,7 +106,7 @@ class Unknown:
     location, phase, form, depends_on : str
         Of the anonymous term that closes most of what is left.
     nearest : str
-        Effect of the registry that comes nearest.
+        Effect of the registry that comes nearest, "" where none does.
     gain : float
         Chi-square that the term takes away.
     """
@@ -112,6 +124,10 @@ class Unknown:
             return f"in the {self.location}: {self.form}"
         return f"in the {self.location}, {self.phase}: grows as {self.form} and depends on {self.depends_on}"
 
+    def to_json(self) -> dict[str, Any]:
+        """Its fields, null for no kin."""
+        return {**asdict(self), "nearest": self.nearest or None}
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -123,7 +139,7 @@ class Standing:
     status : str
         ``present``, ``like <effect>``, ``excluded``, ``cannot tell``, ``not testable``.
     excluded_above : Quantity or None
-        Size of its first parameter above which it would have been seen (power 90 %).
+        Size of its first parameter above which it would have been seen (power 90 %); None where no device would be as large.
     log_evidence, gain, absorbed : float
     """
 
@@ -163,6 +179,11 @@ class Gap:
     scale_before: Quantity
     scale_after: Quantity
     experiments: tuple[str, ...] = ()
+
+    def untold(self) -> frozenset[str]:
+        """Which of ``bias`` and ``scale`` these recordings leave open by more than any gyro has: figures that say nothing."""
+        named = {"bias": (self.bias_before, self.bias_after), "scale": (self.scale_before, self.scale_after)}
+        return frozenset(name for name, pair in named.items() if not all(q.sd <= _MOST[name] for q in pair))
 
     def to_json(self) -> dict[str, Any]:
         """Keys of the contract."""
@@ -294,7 +315,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "summary": self.summary,
             "effects": [e.to_json() for e in self.effects],
-            "unknown": None if self.unknown is None else asdict(self.unknown),
+            "unknown": None if self.unknown is None else self.unknown.to_json(),
             "probability": {"none": self.probability_none, "unknown": self.probability_unknown},
             "map": [asdict(cell) for cell in self.map[:_MAP_CELLS]],
             "standings": [

@@ -11,14 +11,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..recording.applied_rate import is_turned
 from .diagnosis import Unknown
 from .evidence import CHANNELS, RecordingEvidence
 from .model import CampaignModel
 from .signals import held_readings
+from .system import Solution
 
 __all__ = ["Loud", "loudest"]
 
+FloatArray = NDArray[np.float64]
 #: power over that of its kind from which on a recording is not of its kind; those of some forty healthy campaigns came to 4.4
 _LOUD = 8.0
 #: power of a warmed recording over that of its mode at rest from which on it holds more than noise; along a wave, where the damping acts,
@@ -66,23 +71,35 @@ class Loud:
         return Unknown("environment", "phase not told", form, depends, "", self.ratio * self.equations)
 
 
-def loudest(model: CampaignModel) -> Loud | None:
-    """The loudest recording, if one is not of its kind; not of a rate table, which does things besides its log."""
-    found = [
-        Loud(r.recording.label, channel, ratio, r.signal.lhs.size)
-        for r in model.evidence
-        for channel in CHANNELS
-        if channel != "frequency" and (ratio := model.excess.get((r.index, channel), 0.0)) > _LOUD and not is_turned(r.recording)
-    ]
-    found += [
-        Loud(r.recording.label, channel, ratio, r.signal.lhs.size, warmed=True)
-        for r in model.evidence
-        for channel in CHANNELS
-        if channel != "frequency"
-        and _is_told_warming(r)
-        and (ratio := _over_rest(model, r, channel)) > (_WARMED if channel == "amplitude" else _WARMED_ACROSS)
-    ]
+def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
+    """The loudest recording, if one is not of its kind; not of a rate table, which does things besides its log.
+
+    Parameters
+    ----------
+    model : CampaignModel
+    solution : Solution
+        With the effects that were chosen: what they explain of a recording is not loud.
+    """
+    found, first = [], 0
+    for r in model.evidence:
+        rows = slice(first, first := first + 2 * r.signal.lhs.size)
+        for channel in CHANNELS:
+            if channel == "frequency":
+                continue
+            left = _left(solution.residual[rows], channel)
+            if not is_turned(r.recording) and (own := left * model.excess.get((r.index, channel), 0.0)) > _LOUD:
+                found.append(Loud(r.recording.label, channel, own, r.signal.lhs.size))
+            warmed = left * _over_rest(model, r, channel) if _is_told_warming(r) else 0.0
+            if warmed > (_WARMED if channel == "amplitude" else _WARMED_ACROSS):
+                found.append(Loud(r.recording.label, channel, warmed, r.signal.lhs.size, warmed=True))
     return max(found, key=lambda loud: loud.ratio, default=None)
+
+
+def _left(residual: FloatArray, channel: str) -> float:
+    """Mean square of what a solution leaves of a channel of a wave's recording, over the noise that was believed; 1 at most."""
+    quarter = residual.size // 4
+    place = ("amplitude", "precession", "frequency", "quadrature").index(channel)
+    return min(float(np.mean(residual[place * quarter : (place + 1) * quarter] ** 2)), 1.0)
 
 
 def _is_told_warming(r: RecordingEvidence) -> bool:

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from ..device import Device, DriveChain, Feedthrough, Nonlinearity, PickoffChain, Resonator
 from ..device.resonator import ZERO_CELSIUS_K
 from ..effects import EFFECTS
-from ..errors import CalibrationRefused
+from ..errors import CalibrationRefused, DeviceError
 from ..estimation.separation import Priors
 from ..units import DEG_H
 from .diagnosis import Diagnosis, PatchedEstimate
 from .drifts import BENT
 from .forms import GRADIENT_DAMPS
 
-__all__ = ["constant_rate", "patch_notes", "patched_device", "with_factory_data"]
+__all__ = ["check_kind", "constant_rate", "patch_notes", "patched_device", "with_factory_data"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -46,6 +46,8 @@ _THERMAL = (
 )
 #: and what of that is a nuisance under another name
 _RENAMED = {"thermal_frequency_curvature": "frequency_per_k2", "thermal_damping_curvature": "damping_per_k2", "thermal_bias": "rate_per_k"}
+#: share by which nominal frequencies of one design differ at most: units of one come out within percents
+_ONE_KIND = 0.2
 #: is there when the temperature moved enough to fit how the device follows it
 _WARMED = "thermal_drive_gain.g_x"
 #: coefficients of a device file that are effects of the registry under another name
@@ -58,6 +60,29 @@ _OF_PARTS = {
 _OF_PICKOFFS = {"pickoff_nonlinearity": ("cubic_per_v2", "gap_amplitude_v")}
 #: what recordings say nothing of
 _UNTESTED = ("not testable", "cannot tell")
+
+
+def check_kind(device: Device, factory: Mapping[str, Any]) -> None:
+    """Whether a description may be of the device that was recorded: asked before its recordings are diagnosed.
+
+    Parameters
+    ----------
+    device : Device
+        Nominal or previous description.
+    factory : mapping
+        Of the campaign.
+
+    Raises
+    ------
+    DeviceError
+        The nominal frequencies are those of two kinds of gyro.
+    """
+    stated, described = factory.get("nominal_f0_hz"), device.factory_data.nominal_f0_hz
+    if isinstance(stated, int | float) and stated > 0.0 and abs(described - stated) > _ONE_KIND * stated:
+        raise DeviceError(
+            f"Device description must be of the gyro that was recorded, with a nominal frequency of about {stated:g} Hz, but got "
+            f"{device.device_id!r} of {described:g} Hz: another kind of gyro. Give --device the description of this one."
+        )
 
 
 def patched_device(device: Device, diagnosis: Diagnosis) -> Device:
@@ -329,8 +354,7 @@ def _effects(device: Device, diagnosis: Diagnosis, estimate: PatchedEstimate) ->
         if any(values.values()):
             sizes[name] = values
     for effect in diagnosis.effects:
-        known = {p.name for p in EFFECTS[effect.registry_name].parameters}
-        sizes[effect.registry_name] = {key: quantity.value for key, quantity in effect.parameters.items() if key in known}
+        sizes[effect.registry_name] = effect.in_device_file()
     if _gradient_damps(diagnosis, estimate):
         column, per_unit = GRADIENT_DAMPS
         sizes["thermal_damping_lag"] = {"c": per_unit * estimate.values[column], "tau": sizes["thermal_split_lag"]["tau"]}

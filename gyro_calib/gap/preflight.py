@@ -36,6 +36,9 @@ _FEWEST_RECORDINGS = 2
 _FEWEST_ROWS, _NOT_DESCRIBED = 200, ("frequency_modulation", "secondary_modulation")
 #: a drive acts on an axis by this share at least of what holds a wave there
 _ACTS = 0.2
+#: rate of growth over the decay that the factory states, from which on columns are wrong and not the gyro; share of a drive's gain in the
+#: phase that it should have, and a quarter of a cycle from there, from which on it is right and wrong
+_GROWS, _PUSHES, _ASIDE = 0.2, 0.5, 0.8
 #: share of a wave's power on an axis from which on it is held there
 _HELD_SHARE = 0.25
 
@@ -192,15 +195,27 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
             f"Each drive must move its own axis, but x drive acts on y by {crossed[1]:.3g} and on x by {straight[0]:.3g} 1/s. "
             "The drive columns (or the pick-off columns) of x and y look swapped."
         )
+    growing = [k for k in range(2) if A[k, k].real > _GROWS * decay_rate and _swings(k, recordings)]
+    if len(growing) == 2 and np.all(np.diag(G).imag < -_PUSHES * straight):
+        raise DataError(
+            f"Both modes must be damped, but got {A[0, 0].real:+.3g} and {A[1, 1].real:+.3g} 1/s with drives that push as they should: the "
+            "s of all columns look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn them."
+        )
     for k, axis in enumerate("xy"):
+        if straight[k] > acts and abs(G[k, k].real) > _ASIDE * straight[k]:
+            raise DataError(
+                f"A positive {axis} drive must push {axis} as theory.md Eq. 4 has it (G_{axis}{axis} near -i), but got {G[k, k]:.3g} 1/s, "
+                f"a quarter of a cycle away: c and s of the {axis} drive or of the {axis} pick-off columns look swapped. Swap them back."
+            )
         if straight[k] > acts and G[k, k].imag > 0.5 * straight[k]:
             raise DataError(
                 f"A positive {axis} drive must push {axis} as theory.md Eq. 4 has it (G_{axis}{axis} near -i), but got {G[k, k]:.3g} 1/s: "
                 f"the sign of the {axis} drive or of the {axis} pick-off columns looks wrong (c and s swapped, or negative)."
             )
-        if A[k, k].real > 0.2 * straight[k] and _swings(k, recordings):
+        if k in growing:
             raise DataError(
-                f"The {axis} mode must be damped, but got {A[k, k].real:+.3g} 1/s. Check the sign and unit of the columns of {axis}."
+                f"The {axis} mode must be damped, but got {A[k, k].real:+.3g} 1/s. Check the signs of c and of s, and the unit, of the "
+                f"columns of {axis}: one of the {axis} drive's is turned, or c and s are swapped."
             )
     if any(is_turned(r) for r in recordings) and all(_swings(k, recordings) for k in range(2)):
         response = values.get("rate_anti_re", linear.angular_gain)

@@ -79,12 +79,13 @@ def _status(found: Screened) -> tuple[str, Quantity | None]:
     if first not in {p.name for p in effect.parameters} or first in found.candidate.setting:
         return ("excluded" if _SEEN * float(found.sd[0]) < 1.0 else "cannot tell"), None
     limits = sorted(
-        (_SEEN * float(sd) / effect.parameter(c.name).typical, float(sd), effect.parameter(c.name).unit)
+        (_SEEN * float(sd) / (p := effect.parameter(c.name)).typical, float(sd), p.unit, max(p.upper, -p.lower))
         for c, sd in zip(found.candidate.columns, found.sd, strict=True)
         if not c.name.startswith(SKEW) and c.name == parameter_of(c.name)
     )
-    (least, *_), (ratio, sd, unit) = limits[0], limits[-1]
-    size = Quantity(_SEEN * sd, sd, unit)
+    (least, *_), (ratio, sd, unit, largest) = limits[0], limits[-1]
+    # a limit that no device comes near says nothing
+    size = Quantity(_SEEN * sd, sd, unit) if _SEEN * sd <= largest else None
     if least > _BEYOND or found.absorbed > _IMITATED:
         return "not testable", size
-    return ("cannot tell" if ratio > _LARGE else "excluded"), size
+    return ("cannot tell" if ratio > _LARGE or size is None else "excluded"), size

@@ -97,7 +97,7 @@ def _facts(diagnosis: Diagnosis) -> dict[str, str]:
         facts[f"effect_{number}.group"] = ", ".join(effect.group)
         facts[f"effect_{number}.probability"] = f"{effect.probability:.3f}"
     if diagnosis.unknown is not None:
-        facts |= {f"unknown.{key}": str(getattr(diagnosis.unknown, key)) for key in ("location", "form", "nearest")}
+        facts |= {f"unknown.{key}": str(getattr(diagnosis.unknown, key) or "none") for key in ("location", "form", "nearest")}
     facts["not_testable"] = ", ".join(diagnosis.not_testable)
     facts["next_experiment"] = diagnosis.next_experiment.description
     if diagnosis.warnings:
@@ -113,9 +113,9 @@ def _results(diagnosis: Diagnosis) -> dict[str, Quantity]:
         "gap.rms_over_noise.before": Quantity(gap.rms_before, 0.0, "1"),
         "gap.rms_over_noise.after": Quantity(gap.rms_after, 0.0, "1"),
         "gap.closed_fraction": gap.closed_fraction,
-        "gap.bias.before": gap.bias_before,
-        "gap.bias.after": gap.bias_after,
-        "gap.scale_factor.before": gap.scale_before,
-        "gap.scale_factor.after": gap.scale_after,
     }
+    if "bias" not in gap.untold():
+        found |= {"gap.bias.before": gap.bias_before, "gap.bias.after": gap.bias_after}
+    if "scale" not in gap.untold():
+        found |= {"gap.scale_factor.before": gap.scale_before, "gap.scale_factor.after": gap.scale_after}
     return {name: quantity for name, quantity in found.items() if math.isfinite(quantity.value)}

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
+from .attributes import is_stated, naming_recording
 from .recording import Recording
 
 __all__ = ["applied_rate", "is_straight", "is_turned", "table_axis", "words_of_steps"]
@@ -35,7 +36,7 @@ def words_of_steps(t_s: list[float], rate_rad_s: list[float], axis: tuple[float,
 
 def is_turned(recording: Recording) -> bool:
     """Whether a table turned during a recording, as its attributes tell."""
-    return "applied_rate" in recording.extras
+    return is_stated(recording.extras.get("applied_rate"))
 
 
 def table_axis(recording: Recording) -> FloatArray:
@@ -50,9 +51,10 @@ def table_axis(recording: Recording) -> FloatArray:
     stated = words.get("axis") if isinstance(words, Mapping) else None
     if stated is None:
         return np.array([0.0, 0.0, 1.0])
-    vector = _numbers(stated, "axis")
-    if vector.shape != (3,) or not np.linalg.norm(vector) > 0.0:
-        raise DataError(f"Attribute applied_rate axis must be three numbers, not all zero, but got {stated!r}. Correct it in the file.")
+    with naming_recording(recording.label):
+        vector = _numbers(stated, "axis")
+        if vector.shape != (3,) or not np.linalg.norm(vector) > 0.0:
+            raise DataError(f"Attribute applied_rate axis must be three numbers, not all zero, but got {stated!r}. Correct it in the file.")
     return vector / float(np.linalg.norm(vector))
 
 
@@ -71,22 +73,23 @@ def applied_rate(recording: Recording) -> tuple[FloatArray, FloatArray]:
     DataError
         An attribute that does not say a rate.
     """
-    words = recording.extras.get("applied_rate")
-    if words is None:
+    if not is_turned(recording):
         return np.zeros(len(recording)), np.zeros(len(recording))
+    words = recording.extras["applied_rate"]
     row_s = 1.0 / recording.sample_rate_hz
     if isinstance(words, int | float) and not isinstance(words, bool):
         return np.full(len(recording), math.radians(words)), np.zeros(len(recording))
-    if not isinstance(words, Mapping):
-        raise DataError(f"Attribute applied_rate must hold t_s and deg_s, but got {words!r}. Correct it in the file.")
-    times, rates, linear = _course(words)
+    with naming_recording(recording.label):
+        times, rates, linear = _course(words)
     start = _start(recording)
     edges = np.append(recording.t - 0.5 * row_s, recording.t[-1] + 0.5 * row_s) - start
     turned = _angle(edges, times, rates, linear)
     return np.diff(turned) / row_s, np.diff(_at(edges, times, rates, linear)) / row_s
 
 
-def _course(words: Mapping[str, Any]) -> tuple[FloatArray, FloatArray, bool]:
+def _course(words: Any) -> tuple[FloatArray, FloatArray, bool]:
+    if not isinstance(words, Mapping):
+        raise DataError(f"Attribute applied_rate must hold t_s and deg_s, but got {words!r}. Correct it in the file.")
     unit = "deg_s" if "deg_s" in words else "rad_s"
     if unit not in words or "t_s" not in words:
         raise DataError(f"Attribute applied_rate must hold t_s and deg_s, but got {sorted(words)}. Correct it in the file.")

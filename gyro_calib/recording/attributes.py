@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from ..errors import DataError
 from .command import MODES, Command, Excitation, Setpoints, excitation_kind
 
-__all__ = ["command_from_attributes", "decode_attribute", "plain_value", "to_attributes"]
+__all__ = ["command_from_attributes", "decode_attribute", "is_stated", "naming_recording", "plain_value", "to_attributes"]
 
 _IDENTITY = (1.0, 0.0, 0.0, 1.0)
 
@@ -46,6 +47,35 @@ def decode_attribute(value: Any) -> Any:
         except (ValueError, RecursionError):
             return value
     return value
+
+
+def is_stated(value: Any) -> bool:
+    """Whether an attribute or parameter says anything: a driver declares what it has not as an empty text.
+
+    Parameters
+    ----------
+    value : object
+    """
+    return value is not None and not (isinstance(value, str | bytes) and not value.strip())
+
+
+@contextmanager
+def naming_recording(label: str) -> Iterator[None]:
+    """What is wrong with an attribute, with the recording that has it.
+
+    Parameters
+    ----------
+    label : str
+
+    Raises
+    ------
+    DataError
+        That of the block, its text after the recording's label.
+    """
+    try:
+        yield
+    except DataError as error:
+        raise DataError(f"Recording {label!r}: {error}") from error
 
 
 def command_from_attributes(attributes: Mapping[str, Any], measured_amplitude_v: float | None = None) -> Command:

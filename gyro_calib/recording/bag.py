@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
+from .attributes import is_stated, naming_recording
 from .columns import COLUMNS
 from .command import Command
 from .integrity import validate
@@ -237,14 +238,15 @@ def _campaign(
     on_progress: Callable[[float, str], None],
 ) -> Campaign:
     states = states_of_segments(stream.first_seen, stream.changes)
-    everything: dict[str, Any] = {name: value for change in stream.changes for name, value in change.values.items() if value is not None}
+    everything: dict[str, Any] = {name: value for change in stream.changes for name, value in change.values.items() if is_stated(value)}
     device = _device_id(everything.get("device_id"), device_id)
     facts = dict(factory) if factory is not None else _factory(everything.get("factory"))
     rate = _sample_rate(everything.get("sample_rate_hz"))
     recordings = []
     for index, (rows, state) in enumerate(zip(_split(stream), states, strict=True)):
-        command = command_of(state) or (initial if index == 0 else None)
-        recording = None if command is None else _recording(rows, state, command, device, rate, settle_s)
+        with naming_recording(str(state.get(LABEL) or f"segment_{int(rows[0, 1])}")):
+            command = command_of(state) or (initial if index == 0 else None)
+            recording = None if command is None else _recording(rows, state, command, device, rate, settle_s)
         if recording is not None:
             if check:
                 validate(recording, facts)
@@ -324,7 +326,7 @@ def _extras(text: Any) -> dict[str, Any]:
         extras = None
     if not isinstance(extras, dict):
         raise DataError(f"Parameter {EXTRAS} must be a JSON object, but got {text!r}. Copy or record the bag again.")
-    return extras
+    return {name: word for name, word in extras.items() if word is None or is_stated(word)}
 
 
 def _rate(rows: FloatArray) -> float:

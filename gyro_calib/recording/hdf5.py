@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError
-from .attributes import command_from_attributes, decode_attribute, plain_value, to_attributes
+from .attributes import command_from_attributes, decode_attribute, is_stated, naming_recording, plain_value, to_attributes
 from .columns import COLUMN_UNITS, COLUMNS
 from .demodulate import demodulate
 from .integrity import validate
@@ -198,7 +198,8 @@ def _read_recording(group: h5py.Group, device_id: str, index: int, factory: Mapp
     for position, column in enumerate(COLUMNS):
         data[:, position] = columns[column] if column in columns else _stand_in(column, attributes, index, name)
     data[:, 0] = t
-    command = command_from_attributes(attributes, _amplitude(data))
+    with naming_recording(label):
+        command = command_from_attributes(attributes, _amplitude(data))
     return Recording(device_id, data, command, rate, label, attributes, _read_raw(group, name))
 
 
@@ -218,7 +219,9 @@ def _from_raw(group: h5py.Group, device_id: str, index: int, attributes: Mapping
     if not step > 0.0:
         raise DataError(f"Raw channel t of {name} must increase, but got steps of {step:.6g} s. Write t as float64 seconds.")
     stated = next((attributes[key] for key in _RATE_NAMES if isinstance(attributes.get(key), int | float)), 1.0 / step)
-    command, label = command_from_attributes(attributes), str(attributes.get("label") or name)
+    label = str(attributes.get("label") or name)
+    with naming_recording(label):
+        command = command_from_attributes(attributes)
     alone = Recording(device_id, np.empty((0, len(COLUMNS))), command, float(stated), label, attributes, raw)
     recording = demodulate(alone, factory=factory)
     data = recording.data.copy()
@@ -311,7 +314,8 @@ def _read_raw_channels(raw: h5py.Group, name: str) -> dict[str, FloatArray] | No
 
 def _attributes(item: h5py.Group) -> dict[str, Any]:
     values = {key: item.attrs[key] for key in item.attrs}
-    return {key: None if isinstance(value, h5py.Empty) else decode_attribute(value) for key, value in values.items()}
+    decoded = {key: None if isinstance(value, h5py.Empty) else decode_attribute(value) for key, value in values.items()}
+    return {key: value for key, value in decoded.items() if value is None or is_stated(value)}
 
 
 def _image(campaign: Campaign, dtype: str) -> bytes:

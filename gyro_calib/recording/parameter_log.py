@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from .attributes import command_from_attributes, decode_attribute
+from .attributes import command_from_attributes, decode_attribute, is_stated
 from .command import MODES, Command
 
 __all__ = ["ParameterChange", "command_of", "driver_changes", "states_of_segments", "words_of"]
@@ -111,7 +111,8 @@ def _state(changes: Sequence[ParameterChange], until_ns: int) -> dict[str, Any]:
     for change in changes:
         if change.log_ns <= until_ns:
             state.update(change.values)
-    return {name: value for name, value in state.items() if value is not None}
+    # a mode is not optional: without one the segment would be left out and nobody told
+    return {name: value for name, value in state.items() if is_stated(value) or (name == "mode" and value is not None)}
 
 
 def _is_command_name(name: str) -> bool:

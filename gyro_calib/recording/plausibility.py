@@ -23,6 +23,8 @@ _CLIP_LEVEL = 0.999
 _FAR_ABOVE = 5.0
 #: so many equal samples in a row at a channel's extreme are a flat top
 _FLAT_TOP_SAMPLES = 8
+#: an extreme that stands so many times as often as any other value is where a channel clips
+_TIMES_OTHERS = 10
 #: so many equal samples in a row of a noisy channel are a frozen one
 _FROZEN_SAMPLES = 20
 #: so often an axis reads exactly nothing that its converter rounds: a cable that breaks does so once or twice
@@ -98,6 +100,25 @@ def _check_clipping(recording: Recording, factory: Mapping[str, Any], where: str
                     f"Column {name}{where} must not sit at its extreme, but got {length} samples of exactly {extreme:.6g} V from "
                     f"{_at(recording, start)}: a flat top, the channel clips. Lower the amplitude or the gain, and record again."
                 )
+        _check_extremes(recording, name, where)
+
+
+def _check_extremes(recording: Recording, name: str, where: str) -> None:
+    """A noisy channel that clips comes to one value again and again, and to no other: no run of them need be long."""
+    column = recording.column(name)
+    for extreme in (column.min(), column.max()):
+        there = column == extreme
+        count = int(np.count_nonzero(there))
+        if count < _FLAT_TOP_SAMPLES or not _is_noisy(column, recording):
+            continue
+        # the steps of a converter come again as well, all of them
+        others = np.unique(column[~there], return_counts=True)[1]
+        if len(others) >= _FLAT_TOP_SAMPLES and count >= _TIMES_OTHERS * int(others.max()):
+            raise DataError(
+                f"Column {name}{where} must not sit at its extreme, but got {count} samples of exactly {extreme:.6g} V, the first "
+                f"{_at(recording, int(np.argmax(there)))}, and no other value more than {int(others.max())} times: the channel clips. "
+                "Lower the amplitude or the gain, and record again."
+            )
 
 
 def _check_frozen(recording: Recording, where: str) -> None:
@@ -109,6 +130,13 @@ def _check_frozen(recording: Recording, where: str) -> None:
             raise DataError(
                 f"Column {name}{where} must carry the noise of its channel, but got {length + 1} equal samples of {column[start]:.6g} V "
                 f"from {_at(recording, start)}: the channel is frozen. Check its cable and the logger, and record again."
+            )
+        # one whose mean is nothing may be less than half a step of its converter
+        still = column[0] != 0.0 and not np.ptp(column)
+        if still and any(_is_noisy(recording.column(other), recording) for other in _PICK_NAMES):
+            raise DataError(
+                f"Column {name}{where} must carry the noise of its channel, but got {column[0]:.6g} V in all {len(recording)} samples from "
+                f"{_at(recording, 0)}: the channel is frozen. Check its cable and the logger, and record again."
             )
     if recording.command.oscillator_axis is None:
         return

@@ -65,11 +65,14 @@ def _tiles(diagnosis: Diagnosis) -> list[Tile]:
         tiles.append(Tile("Gap closed, unseen experiments", share, f"sd {100.0 * closed.sd:.2g} %"))
     before = f"{gap.rms_before:.3g}" if found else ""
     tiles.append(Tile("Misfit over noise, rms", f"{gap.rms_after if found else gap.rms_before:.3g}", "1: noise alone", before))
-    for label, first, last in (
-        ("Rate left unexplained", gap.bias_before, gap.bias_after),
-        ("Bend of the scale factor", gap.scale_before, gap.scale_after),
+    for kind, label, first, last in (
+        ("bias", "Rate left unexplained", gap.bias_before, gap.bias_after),
+        ("scale", "Bend of the scale factor", gap.scale_before, gap.scale_after),
     ):
         shown = last if found else first
+        if kind in gap.untold():
+            tiles.append(Tile(label, "unknown", "not told by these recordings"))
+            continue
         tiles.append(
             Tile(
                 label,

@@ -28,12 +28,17 @@ def effects_table(diagnosis: Diagnosis) -> Table:
             rows.append(("", "a course that " + effect.title.split(BENT)[1], "", "", ""))
     for words, probability in _beside_the_named(diagnosis):
         rows.append((words, "", _percent(probability), "", ""))
-    return Table("Which effects", ("effect", "size", "probability", "acts in", "cannot be told from"), tuple(rows))
+    header = ("effect", "size", "probability", "acts in", "cannot be told from")
+    caption = "" if rows else "Nothing is told: these recordings vary too little."
+    return Table("Which effects", header, tuple(rows), caption, optional=(3, 4))
 
 
 def _beside_the_named(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     """Probability of what no row above names, which adds up to 1 where none does."""
     none, unknown = diagnosis.probability_none, diagnosis.probability_unknown
+    if diagnosis.verdict == "not_testable":
+        # they are of the few effects that could be tested: "none of any kind 81 %" is not what such recordings say
+        return []
     if diagnosis.effects:
         others = "another, or not in the catalogue" if diagnosis.unknown is None else "beside it one that is not in the catalogue"
         return [("none of any kind", none), (others, unknown)]
@@ -64,8 +69,8 @@ def before_after_table(diagnosis: Diagnosis) -> Table:
     gap = diagnosis.gap
     rows = (
         ("misfit, rms over noise (1: noise alone)", f"{gap.rms_before:.3g}", f"{gap.rms_after:.3g}", ""),
-        ("rate left unexplained [deg/h]", _plain(gap.bias_before), _plain(gap.bias_after), f"{gap.bias_after.sd:.2g}"),
-        ("bend of the scale factor [ppm]", _plain(gap.scale_before), _plain(gap.scale_after), f"{gap.scale_after.sd:.2g}"),
+        ("rate left unexplained [deg/h]", *_figures(gap.bias_before, gap.bias_after, "bias" not in gap.untold())),
+        ("bend of the scale factor [ppm]", *_figures(gap.scale_before, gap.scale_after, "scale" not in gap.untold())),
     )
     caption = (
         f"{100.0 * gap.closed_fraction.value:.1f} ± {100.0 * gap.closed_fraction.sd:.2g} % of the gap is closed."
@@ -94,7 +99,7 @@ def standings_table(diagnosis: Diagnosis) -> Table:
         "Probability: of the group that an effect stands in. Chi-square: what the effect would take away beside those found. "
         "Absorbed: share that the constants of a linear device take up."
     )
-    return Table(f"All {len(rows)} effects, ranked", header, rows, caption)
+    return Table(f"All {len(rows)} effects, ranked", header, rows, caption, optional=(5, 4, 3, 2))
 
 
 def status_words(standing: Standing) -> str:
@@ -130,6 +135,10 @@ def _others(effect: FoundEffect) -> str:
 
 def _percent(probability: float) -> str:
     return f"{100.0 * probability:.1f} %"
+
+
+def _figures(before: Quantity, after: Quantity, told: bool) -> tuple[str, str, str]:
+    return (_plain(before), _plain(after), f"{after.sd:.2g}") if told else ("unknown", "unknown", "")
 
 
 def _plain(quantity: Quantity) -> str:

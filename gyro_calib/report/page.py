@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import DataError
 from .style import STYLE
 from .table import Table
 
@@ -110,12 +111,26 @@ def render_page(page: Page) -> str:
 
 
 def write_page(path: Path, page: Page) -> None:
-    """Write the page; a reader never sees half of it."""
+    """Write the page; a reader never sees half of it.
+
+    Raises
+    ------
+    DataError
+        The file cannot be written.
+    """
+    document = render_page(page)
+    try:
+        _replace(path, document)
+    except OSError as error:
+        raise DataError(f"Page must be writable, but got {error.strerror or error} for {path}. Choose another path.") from error
+
+
+def _replace(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(render_page(page))
+            stream.write(text)
         Path(temporary).chmod(0o644)
         os.replace(temporary, path)
     except BaseException:

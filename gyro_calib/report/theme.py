@@ -193,8 +193,11 @@ def save_figure(drawn: Any, path: Path) -> None:
     Raises
     ------
     DataError
-        The suffix is not one of :data:`PLOT_SUFFIXES`.
+        The suffix is not one of :data:`PLOT_SUFFIXES`, or the file cannot be written.
     """
     require_plot_suffix(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    drawn.savefig(path, dpi=150)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        drawn.savefig(path, dpi=150)
+    except OSError as error:
+        raise DataError(f"Plot file must be writable, but got {error}. Choose another path.") from error

@@ -94,7 +94,11 @@ class TrialLog:
         self._path = path
         self._seals: dict[int, str] = {}
         if path is not None:
-            path.write_text("", encoding="utf-8")
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text("", encoding="utf-8")
+            except OSError as error:
+                raise DataError(f"Log of the trials must be writable, but got {error}. Choose another path.") from error
 
     def seal(self, number: int, sha256: str) -> None:
         """Written before the campaign is diagnosed.
