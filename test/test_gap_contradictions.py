@@ -19,7 +19,7 @@ from gyro_calib.gap.odd_one_out import check_alike
 from gyro_calib.gap.one_clock import on_one_clock
 from gyro_calib.gap.one_device import check_one_device, said_of_decay, said_of_reference
 from gyro_calib.gap.parts import Linear
-from gyro_calib.gap.preflight import check_linear
+from gyro_calib.gap.preflight import check_campaign, check_linear
 from gyro_calib.recording import Campaign, Recording
 from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Excitation
@@ -195,3 +195,17 @@ def test_a_device_whose_columns_all_have_one_fault_is_told_which() -> None:
     refused(np.diag([1.5 + 1j, -1.5 - 1j]), np.diag([-8.0, -8.2j]), "quarter of a cycle.*x drive")
     refused(np.diag([1.5 + 1j, -1.5 - 1j]), G, "x mode must be damped")
     check_linear(Linear(A, G, np.zeros((2, 2), dtype=complex), 0.8, 0.0), {"rate_anti_re": 0.8}, recordings, 1.5)
+
+
+def test_recordings_without_noise_are_said_to_be_no_device_s() -> None:
+    """A packaged device without noise had four effects, each the order to which a model goes."""
+    assert not any("no noise" in line for line in check_campaign(ring()))
+    smooth = [replace(r, data=np.concatenate([r.data[:, :2], _smoothed(r.data[:, 2:10]), r.data[:, 10:]], axis=1)) for r in ring()]
+    assert sum("no noise" in line for line in check_campaign(replace(ring(), recordings=tuple(smooth)))) == 1
+
+
+def _smoothed(columns: np.ndarray) -> np.ndarray:
+    """Their lowest lines."""
+    lines = np.fft.rfft(columns, axis=0)
+    lines[40:] = 0.0
+    return np.fft.irfft(lines, len(columns), axis=0)

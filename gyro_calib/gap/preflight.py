@@ -32,6 +32,8 @@ _RATE_UNITS = (
 )
 _RATE_TOLERANCE = 0.15
 _FEWEST_RECORDINGS = 2
+#: noise from row to row over the wave; the quietest of twelve recorded and simulated devices has 3e-6
+_NO_NOISE = 1e-8
 #: fewest rows of a recording; excitations that the equations do not describe
 _FEWEST_ROWS, _NOT_DESCRIBED = 200, ("frequency_modulation", "secondary_modulation")
 #: a drive acts on an axis by this share at least of what holds a wave there
@@ -77,7 +79,26 @@ def check_campaign(campaign: Campaign) -> list[str]:
     _check_modulation([(r, index) for r in campaign if (index := _index(r)) is not None], waves)
     for r in campaign:
         _check_open_drive(r)
-    return [*_not_used(campaign), *_cut_short(campaign), *_rarely_read(campaign)]
+    return [*_not_used(campaign), *_cut_short(campaign), *_rarely_read(campaign), *_without_noise(waves)]
+
+
+def _without_noise(waves: Sequence[Recording]) -> list[str]:
+    """A line on recordings that no device made: beside no noise what the models leave out themselves is an effect."""
+    noises = [_row_noise(r) for r in waves if r.command.mode.startswith("ftr") or r.command.mode == "whole_angle"]
+    if not noises or float(np.median(noises)) > _NO_NOISE:
+        return []
+    return [
+        f"The pick-offs hold no noise ({np.median(noises):.1g} of the wave from row to row, a device has 1e-6 and more): a simulation "
+        "without it. Effects that are named beside none may be what a model rounds off. Give the device description its noise, and simulate again."
+    ]
+
+
+def _row_noise(r: Recording) -> float:
+    """Third difference of the quietest pick-off column over the wave's amplitude."""
+    amplitude = float(np.sqrt(np.mean(np.sum(np.abs(r.pick) ** 2, axis=1))))
+    moving = [part for axis in r.pick.T for part in (axis.real, axis.imag) if np.ptp(part)]
+    quietest = min((float(np.median(np.abs(np.diff(part, 3)))) for part in moving), default=0.0)
+    return quietest / max(amplitude, 1e-300)
 
 
 def _index(r: Recording) -> float | None:
@@ -159,7 +180,7 @@ def _cut_short(campaign: Campaign) -> list[str]:
         for r in alike:
             stated = r.extras.get("duration_s")
             wanted = float(stated) if isinstance(stated, int | float) else usual if regular else 0.0
-            if r.duration_s < _CUT_SHORT * wanted:
+            if r.duration_s < _CUT_SHORT * wanted and len(r) >= _FEWEST_ROWS:
                 out.append(f"{r.label} is cut short: {r.duration_s:.3g} s where {wanted:.3g} s are usual. What it holds is used.")
     return out
 
