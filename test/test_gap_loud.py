@@ -8,10 +8,12 @@ from typing import cast
 import numpy as np
 import pytest
 
+from gyro_calib.gap import loud as loud_module
 from gyro_calib.gap.evidence import CHANNELS
-from gyro_calib.gap.loud import loudest
+from gyro_calib.gap.loud import Loud
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.noise_law import Lines, NoiseLaw
+from gyro_calib.gap.system import Solution
 
 LINES = Lines(np.array([0.02, 0.1, 0.2]), np.array([0.01, 0.01, 0.04]), 1.0, np.array([True, False, False]))
 
@@ -47,7 +49,16 @@ def model(
     rest = NoiseLaw((1e-11, 0.0, 5e-11, 0.0))
     noise = {("ftr_x", channel): rest for channel in CHANNELS}
     noise |= {("ftr_x, warming", channel): rest.times(louder if channel in channels else 1.0) for channel in CHANNELS}
-    return cast(CampaignModel, SimpleNamespace(evidence=recordings, excess=excess, noise=noise))
+    base = SimpleNamespace(residual=np.ones(40 * len(recordings)))
+    return cast(CampaignModel, SimpleNamespace(evidence=recordings, excess=excess, noise=noise, base=base))
+
+
+def loudest(campaign: CampaignModel, left: float = 1.0, channel: str = "") -> Loud | None:
+    """With effects that leave a share of the squares of a channel."""
+    residual = campaign.base.residual.reshape(-1, 4, 10).copy()
+    if channel:
+        residual[:, ("amplitude", "precession", "frequency", "quadrature").index(channel)] *= np.sqrt(left)
+    return loud_module.loudest(campaign, cast(Solution, SimpleNamespace(residual=residual.ravel())))
 
 
 @pytest.mark.parametrize("excess", [{}, {(0, "amplitude"): 4.4, (3, "quadrature"): 7.9}])
@@ -98,4 +109,14 @@ def test_across_a_wave_a_moving_temperature_makes_less_noise(across: str) -> Non
 def test_a_thermometer_may_err_in_a_frequency() -> None:
     at_rest = model({}, warmed=2, louder=1.0)
     loud_frequency = {**at_rest.noise, ("ftr_x, warming", "frequency"): at_rest.noise["ftr_x", "frequency"].times(1e6)}
-    assert loudest(cast(CampaignModel, SimpleNamespace(evidence=at_rest.evidence, excess={}, noise=loud_frequency))) is None
+    assert (
+        loudest(cast(CampaignModel, SimpleNamespace(evidence=at_rest.evidence, excess={}, noise=loud_frequency, base=at_rest.base))) is None
+    )
+
+
+def test_what_an_effect_explains_of_a_recording_is_not_loud() -> None:
+    """Beside a nonlinear damping that closed all of the gap the one loud amplitude was still a disturbance of 24 times its noise."""
+    strange = {(1, "amplitude"): 24.0, (1, "quadrature"): 3.0}
+    assert loudest(model(strange), 0.9, "amplitude") is not None
+    assert loudest(model(strange), 0.04, "amplitude") is None
+    assert loudest(model({}, warmed=2, louder=443.0, channels=("precession",)), 0.01, "precession") is None

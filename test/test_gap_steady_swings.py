@@ -173,3 +173,39 @@ def test_records_whose_floor_is_believed_far_too_high_do_not_count(monkeypatch: 
         assert find_steady_swing(flows(np.random.default_rng(seed))) is None
     monkeypatch.setattr(steady_swings, "_TELLS", 0.0)
     assert find_steady_swing(flows(np.random.default_rng(0))) is not None
+
+
+def turned(of: list[FlowLeft], turns_hz: float) -> list[FlowLeft]:
+    """Waves that stand at azimuths of all kinds or turn from there."""
+    t = ROW_S * np.arange(ROWS)
+    return [
+        replace(flow, azimuth_rad=0.7 * k + 2.0 * np.pi * turns_hz * t, turning_hz=turns_hz, kind=(*flow.kind[:2], bool(turns_hz)))
+        for k, flow in enumerate(of)
+    ]
+
+
+@pytest.mark.parametrize("turns_hz", [0.0, 0.02])
+@pytest.mark.parametrize(("channel", "shape"), [("quadrature", "sin 2 psi"), ("quadrature", "cos 2 psi"), ("frequency", "cos 2 psi")])
+def test_what_swings_on_one_axis_is_told_by_waves_of_all_azimuths(channel: str, shape: str, turns_hz: float) -> None:
+    """A ripple of the x bias at 0.37 Hz was none: across a wave its stiffness goes as ``sin 2 psi``, of no one sign through a turn."""
+    course = np.sin if shape.startswith("sin") else np.cos
+    rippling = []
+    for flow in turned(flows(np.random.default_rng(4)), turns_hz):
+        t = flow.start_s + ROW_S * np.arange(ROWS)
+        more = 2.5e-5 * course(2.0 * flow.azimuth_rad) * np.cos(2.0 * np.pi * SWING_HZ * t + 0.4)
+        rippling.append(replace(flow, rate={**flow.rate, channel: flow.rate[channel] + more}))
+    found = find_steady_swing(rippling)
+    assert found is not None
+    assert (found.channel, found.shape) == (channel, shape)
+    assert found.frequency_hz == pytest.approx(SWING_HZ, abs=0.3 / (STARTS_S[-1] - STARTS_S[0]))
+    assert abs(found.size - 2.5e-5) < 4.0 * found.size_sd < 2.5e-5
+    assert abs(math.remainder(found.phase_rad - 0.4, 2.0 * math.pi)) < 4.0 * found.phase_sd_rad
+    assert not found.swings_the_phase
+    assert "a split that goes to and fro every 2.3" in found.unknown().form
+    assert shape in found.unknown().form
+
+
+@pytest.mark.parametrize("turns_hz", [0.0, 0.02])
+def test_noise_in_waves_of_all_azimuths_goes_nowhere(turns_hz: float) -> None:
+    for seed in range(8):
+        assert find_steady_swing(turned(flows(np.random.default_rng(seed)), turns_hz)) is None

@@ -86,7 +86,7 @@ def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
         for channel in CHANNELS:
             if channel == "frequency":
                 continue
-            left = _left(solution.residual[rows], channel)
+            left = _left(solution.residual[rows], model.base.residual[rows], channel)
             if not is_turned(r.recording) and (own := left * model.excess.get((r.index, channel), 0.0)) > _LOUD:
                 found.append(Loud(r.recording.label, channel, own, r.signal.lhs.size))
             warmed = left * _over_rest(model, r, channel) if _is_told_warming(r) else 0.0
@@ -95,11 +95,12 @@ def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
     return max(found, key=lambda loud: loud.ratio, default=None)
 
 
-def _left(residual: FloatArray, channel: str) -> float:
-    """Mean square of what a solution leaves of a channel of a wave's recording, over the noise that was believed; 1 at most."""
+def _left(residual: FloatArray, before: FloatArray, channel: str) -> float:
+    """Share of the squares of a wave's channel that effects leave; 1 at most."""
     quarter = residual.size // 4
     place = ("amplitude", "precession", "frequency", "quadrature").index(channel)
-    return min(float(np.mean(residual[place * quarter : (place + 1) * quarter] ** 2)), 1.0)
+    own = slice(place * quarter, (place + 1) * quarter)
+    return min(float(np.sum(residual[own] ** 2)) / max(float(np.sum(before[own] ** 2)), 1e-300), 1.0)
 
 
 def _is_told_warming(r: RecordingEvidence) -> bool:

@@ -89,7 +89,7 @@ def _without_noise(waves: Sequence[Recording]) -> list[str]:
         return []
     return [
         f"The pick-offs hold no noise ({np.median(noises):.1g} of the wave from row to row, a device has 1e-6 and more): a simulation "
-        "without it. Effects that are named beside none may be what a model rounds off. Give the device description its noise, and simulate again."
+        "without it. Effects that are named beside none may be what a model rounds off. Give the device description its noise."
     ]
 
 

@@ -3,13 +3,16 @@
 A bench that rocks, a supply that hums. In no record need it stand over the floor: all of them together tell it, for it has two unknowns
 where :mod:`.swings` gives each record two of its own. Nor need it be away from what else moves there: a mean and a slope, the harmonics of
 a side band and those of the wave's turning have sizes of their own beside it, and what is left of a cosine beside them tells its size.
+
+What swings on one axis, the bias of its electrodes, is another in waves of another azimuth psi: along a wave ``cos 2 psi`` of it, across
+one ``sin 2 psi``, or of what stands between the axes ``cos 2 psi``. Through a turned wave it has no one phase but in that shape.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +45,17 @@ _PASSED, _ALIKE = 0.45, 1e-10
 #: frequencies at which a record's transform is formed, in each of its bins: between them it is smooth; frequencies about the best one, and
 #: how often
 _FINE, _FINER, _FINER_TIMES = 16, 17, 2
+
+
+#: how what swings goes with the azimuth, and in which channels that is asked; least of the shape in any record
+_SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "": np.ones_like,
+    "cos 2 psi": lambda psi: np.asarray(np.cos(2.0 * psi)),
+    "sin 2 psi": lambda psi: np.asarray(np.sin(2.0 * psi)),
+}
+_ACROSS, _LEAST_SHAPE = ("precession", "quadrature"), 0.3
+#: a swing in a shape counts for so much of its log evidence against one in none
+_SHAPED = 0.8
 
 
 @dataclass(frozen=True)
@@ -83,29 +97,34 @@ class _Record:
     Parameters
     ----------
     flow : FlowLeft
+    shape : str
+        How a swing goes with the azimuth.
     """
 
-    def __init__(self, flow: FlowLeft) -> None:
+    def __init__(self, flow: FlowLeft, shape: str) -> None:
         self._flow = flow
         self._window = np.hanning(len(flow.azimuth_rad) + 2)[1:-1]
         self._besides = besides(flow, self._window)
-        whole = float(self._window.sum())
-        self._f, held = self._about_its_middle(self._window[:, None] * self._besides)
+        course = _SHAPES[shape](flow.azimuth_rad)
+        self._shaped = self._window * course
+        whole = float(self._shaped @ course)
+        self._f, held = self._about_its_middle(self._shaped[:, None] * self._besides)
         # at twice a frequency the window alone hears next to nothing, but of the lowest ones
-        twice = self._about_its_middle(self._window[:, None])[1][::2, 0]
+        twice = self._about_its_middle((self._shaped * course)[:, None])[1][::2, 0]
         twice = np.pad(twice, (0, len(held) - len(twice)))
         self._a, self._b = whole - np.sum(np.abs(held) ** 2, axis=1), twice - np.sum(held**2, axis=1)
-        #: variance of what is heard, over the floor and a
-        self._per_floor = float(np.sum(self._window**2) / whole / flow.row_s)
+        #: variance of what is heard, over the floor and a; what a must be for a swing to be told
+        self._per_floor = max(float(self._shaped @ self._shaped) / max(whole, 1e-300), 1e-300) / flow.row_s
+        self._least = _LEAST_LEFT * max(whole, _LEAST_SHAPE**2 * float(self._window.sum()))
 
     def heard(self, channel: str, grid: FloatArray, floor: FloatArray) -> _Heard:
         """Of a channel over its floor, shape (frequencies,)."""
         a, b = np.interp(grid, self._f, self._a), np.interp(grid, self._f, self._b)
-        there = (a - np.abs(b) > _LEAST_LEFT * self._window.sum()) & (grid < _PASSED / self._flow.row_s) & (floor > 0.0)
+        there = (a - np.abs(b) > self._least) & (grid < _PASSED / self._flow.row_s) & (floor > 0.0)
         there &= ~is_imaged(self._flow, grid, _SKIRT_BINS / self._flow.duration_s)
         x = self._flow.rate[channel]
         left = x - self._besides @ (self._besides.T @ (self._window * x))
-        f, found = self._about_its_middle((self._window * left)[:, None])
+        f, found = self._about_its_middle((self._shaped * left)[:, None])
         # turns from the middle to the zero of the device's clock
         middle_s = self._flow.start_s + 0.5 * (len(x) - 1) * self._flow.row_s
         clock = np.exp(-2j * np.pi * grid * middle_s)
@@ -134,14 +153,25 @@ def find_steady_swing(flows: Sequence[FlowLeft]) -> Swing | None:
     span_s = max(f.start_s + f.duration_s for f in long_enough) - min(f.start_s for f in long_enough)
     step = _STEP / span_s
     grid = np.asarray(np.arange(1.0, min(HIGHEST_HZ / step, _MOST)) * step, dtype=np.float64)
-    searched = math.log(len(CHANNELS) * grid.size)
-    records = {id(flow): _Record(flow) for flow in long_enough}
+    asked = [(channel, shape) for shape in _shapes(long_enough) for channel in CHANNELS if shape != "sin 2 psi" or channel in _ACROSS]
+    searched = math.log(len(asked) * grid.size)
+    records = {shape: {id(flow): _Record(flow, shape) for flow in long_enough} for shape in {shape for _, shape in asked}}
+    kinds = {channel: kinds_of(long_enough, channel) for channel in CHANNELS}
     found = [
-        swing
-        for channel in CHANNELS
-        if (swing := _of_channel(kinds_of(long_enough, channel), records, grid, channel, searched)) is not None
+        replace(swing, shape=shape)
+        for channel, shape in asked
+        if (swing := _of_channel(kinds[channel], records[shape], grid, channel, searched)) is not None
     ]
-    return max(found, key=lambda swing: swing.log_evidence, default=None)
+    # one of a wave that turns on from record to record is one at another frequency in a shape
+    return max(found, key=lambda swing: swing.log_evidence * (_SHAPED if swing.shape else 1.0), default=None)
+
+
+def _shapes(flows: Sequence[FlowLeft]) -> list[str]:
+    """Those in which waves of these azimuths hold something, each unlike the others: on one axis alone all are one."""
+    squares = {shape: np.array([float(np.mean(of(flow.azimuth_rad) ** 2)) for flow in flows]) for shape, of in _SHAPES.items()}
+    held = [shape for shape, square in squares.items() if np.count_nonzero(square > _LEAST_SHAPE**2) >= _FEWEST]
+    mean = [float(np.mean(np.cos(2.0 * flow.azimuth_rad))) for flow in flows]
+    return [shape for shape in held if shape != "cos 2 psi" or float(np.ptp(mean)) > _LEAST_SHAPE]
 
 
 def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: FloatArray, channel: str, searched: float) -> Swing | None:

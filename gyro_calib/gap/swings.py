@@ -48,6 +48,13 @@ _WORDS = {
     "precession": ("environment", "in phase", "the rate, as of a base that sways, or a cross coupling"),
     "quadrature": ("dynamics", "in quadrature", "the cross stiffness"),
 }
+#: the same of what is another in waves of another azimuth
+_WORDS_BY_AZIMUTH = {
+    "amplitude": ("drive or pick-off", "in phase", "an unequal gain or loss of the axes"),
+    "frequency": ("dynamics", "in quadrature", "a split"),
+    "precession": ("dynamics or pick-off", "in phase", "an unequal loss or gain of the axes"),
+    "quadrature": ("dynamics", "in quadrature", "a split"),
+}
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class Swing:
     size_sd, frequency_sd_hz : float
     phase_rad, phase_sd_rad : float
         Of its cosine at the zero of the device's clock, of a steady one.
+    shape : str
+        How it goes with the azimuth psi of the wave; "": not at all.
     """
 
     channel: str
@@ -78,21 +87,23 @@ class Swing:
     frequency_sd_hz: float = 0.0
     phase_rad: float = 0.0
     phase_sd_rad: float = 0.0
+    shape: str = ""
 
     @property
     def is_a_rate(self) -> bool:
         """Whether it is a rate that keeps its time: of a base that sways."""
-        return self.channel == "precession" and self.size > 0.0
+        return self.channel == "precession" and self.size > 0.0 and not self.shape
 
     @property
     def swings_the_phase(self) -> bool:
         """Whether it is the reference's phase: a resonance that follows its temperature is slower."""
-        return self.channel == "frequency" and self.size > 0.0 and self.frequency_hz > _FASTER_HZ
+        return self.channel == "frequency" and self.size > 0.0 and self.frequency_hz > _FASTER_HZ and not self.shape
 
     def unknown(self) -> Unknown:
         """As a finding."""
-        location, phase, what = _WORDS[self.channel]
-        form = f"x times {what} that goes to and fro every {1.0 / self.frequency_hz:.3g} s"
+        location, phase, what = (_WORDS_BY_AZIMUTH if self.shape else _WORDS)[self.channel]
+        goes = f", in waves of azimuth psi as {self.shape}" if self.shape else ""
+        form = f"x times {what} that goes to and fro every {1.0 / self.frequency_hz:.3g} s{goes}"
         return Unknown(location, phase, form, "time", "", 2.0 * self.log_evidence)
 
 
