@@ -109,9 +109,8 @@ def test_across_a_wave_a_moving_temperature_makes_less_noise(across: str) -> Non
 def test_a_thermometer_may_err_in_a_frequency() -> None:
     at_rest = model({}, warmed=2, louder=1.0)
     loud_frequency = {**at_rest.noise, ("ftr_x, warming", "frequency"): at_rest.noise["ftr_x", "frequency"].times(1e6)}
-    assert (
-        loudest(cast(CampaignModel, SimpleNamespace(evidence=at_rest.evidence, excess={}, noise=loud_frequency, base=at_rest.base))) is None
-    )
+    thermal = SimpleNamespace(evidence=at_rest.evidence, excess={}, noise=loud_frequency, base=at_rest.base)
+    assert loudest(cast(CampaignModel, thermal)) is None
 
 
 def test_what_an_effect_explains_of_a_recording_is_not_loud() -> None:

@@ -108,6 +108,37 @@ def test_millivolts_are_recognised():
         validate(spoiled(scale(1e3, *PICKS)), {"nominal_f0_hz": 15000.0})
 
 
+def test_a_set_point_in_millivolts_is_not_a_pick_off_in_kilovolts():
+    with pytest.raises(DataError, match=r"near its set point of 1000 V, but got 1 .*The set point looks like mV: divide it by 1000"):
+        validate(make_recording(make_rows(), Command("ftr_x", setpoints=Setpoints(amplitude_v=1000.0))), FACTORY)
+
+
+def noisy_rows():
+    rows = make_rows()
+    rows[:, 2:10] += 1e-4 * np.random.default_rng(5).standard_normal((len(rows), 8))
+    return rows
+
+
+def test_a_noisy_channel_that_clips_comes_to_one_value_again_and_again():
+    """No run of them was eight long, and a healthy ring had another mode 10 Hz away."""
+    rows = noisy_rows()
+    validate(make_recording(rows, Command("ftr_x")), FACTORY)
+    k = column("y_drive_s")
+    rows[:, k] = np.minimum(rows[:, k], np.quantile(rows[:, k], 0.7))
+    with pytest.raises(DataError, match=r"y_drive_s.*must not sit at its extreme.*no other value more than"):
+        validate(make_recording(rows, Command("ftr_x")), FACTORY)
+    # the steps of a coarse converter are no clipping
+    rows[:, k] = np.round(noisy_rows()[:, k] / 5e-5) * 5e-5
+    validate(make_recording(rows, Command("ftr_x")), FACTORY)
+
+
+def test_one_quadrature_that_never_moves_is_frozen():
+    rows = noisy_rows()
+    rows[:, column("x_pick_s")] = -1.4e-4
+    with pytest.raises(DataError, match=r"x_pick_s.*in all \d+ samples.*frozen"):
+        validate(make_recording(rows, Command("ftr_x")), FACTORY)
+
+
 @pytest.mark.parametrize("mode", ["ftr_x", "ftr_y"])
 @pytest.mark.parametrize("factory", [None, FACTORY])
 def test_good_recording_passes(mode, factory):

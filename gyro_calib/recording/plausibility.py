@@ -225,9 +225,11 @@ def _check_amplitude_unit(recording: Recording, where: str) -> None:
     if low <= found <= high:
         return
     remedy = "Correct the set point, or record after the amplitude loop has settled."
-    for factor, unit in ((1e3, "mV"), (1e6, "µV"), (1e-3, "kV")):
+    for factor, unit in ((1e3, "mV"), (1e6, "µV")):
         if low <= found / factor <= high:
             remedy = f"It looks like {unit}: divide the pick-off columns by {factor:g}."
+    if low <= 1e3 * found <= high:
+        remedy = "The set point looks like mV: divide it by 1000."
     if abs(found / wanted * np.sqrt(2.0) - 1.0) < 0.03 and not swing:
         remedy = "It looks like rms volts: envelopes are peak values, multiply by sqrt(2)."
     raise DataError(
