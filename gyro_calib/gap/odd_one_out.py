@@ -27,9 +27,14 @@ ComplexArray = NDArray[np.complex128]
 Change = Callable[[ComplexArray], ComplexArray]
 #: length of a block [s]; fewest rows of a recording, and fewest recordings that tell what one must be
 _BLOCK_S, _FEWEST_ROWS, _FEWEST = 0.1, 200, 4
-#: share of what acts that is missed from which on a recording is asked; what a change must leave of that to be its cause, of a device that
-#: the others tell and of one for all: of 34 campaigns of four simulators, half of them with effects, no change left less than 0.61
-_UNLIKE, _MENDED = 0.005, 0.2
+#: share of what acts that is missed from which on a recording is unlike the others; what a change must leave to be its cause, and share of
+#: what one device for all recordings misses, as they are, that it may miss once one of them is changed
+_UNLIKE, _MENDED, _BETTER = 0.5, 0.1, 0.5
+#: from here on it is less like them than one at their temperature is; what a change must leave of that, of a device that the others tell
+#: and of one for all, and over what they miss themselves
+_LESS_LIKE, _LEAVES, _USUAL = 0.01, 0.1, 3.0
+#: farther from the others' temperature [K] the damping alone misses 0.025
+_WARMED_K = 2.0
 #: changes whose one device misses no more than so many times the least are as good as each other
 _AS_GOOD = 1.5
 #: pull of what nothing tells towards zero, over the equations of one recording
@@ -111,18 +116,25 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
         return
     blocks = [_blocks(r) for r in waves]
     equations = [_Equations.of(b, angular_gain) for b in blocks]
-    of_all = _device_of(equations)
+    warmed = _warmed(waves)
+    of_all, worst = _device_of(equations), _worst(equations)
+    usual = float(np.median([e.missed(of_all) for e in equations]))
     found = []
     for place, (r, own) in enumerate(zip(waves, equations, strict=True)):
         others = [*equations[:place], *equations[place + 1 :]]
         device = _device_of(others)
-        # the others may leave open what it alone tells (x held but once with a side band): then one device has it as it is
-        if (missed := own.missed(device)) < _UNLIKE or (alike := own.missed(of_all)) < _UNLIKE:
+        if (missed := own.missed(device)) < _LESS_LIKE:
             continue
         for mend in _mends():
             mended = _Equations.of(mend(blocks[place]), angular_gain)
-            if (left := mended.missed(device)) < _MENDED * missed and mended.missed(_device_of([*others, mended])) < _MENDED * alike:
-                found.append((_worst([*others, mended]), r.label, missed, left, mend.words))
+            if (left := mended.missed(device)) >= _MENDED * min(missed, 1.0):
+                continue
+            # the others may leave open what it alone tells (x held but once with a side band): then one device is as good as it is
+            with_it = _worst([*others, mended])
+            far = missed > _UNLIKE and with_it < _BETTER * worst
+            near = not warmed[place] and left < _USUAL * usual
+            if far or (near and mended.missed(_device_of([*others, mended])) < _LEAVES * own.missed(of_all)):
+                found.append((with_it, r.label, missed, left, mend.words))
     if found:
         # one wrong recording spoils what is foretold of the others, too: the cause is what makes all of them those of one device, and of
         # changes that do so about as well the one after which least is missed
@@ -132,6 +144,13 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
             f"Recording {label!r} must obey the equations of the other {len(waves) - 1}, but misses {missed:.2g} of what acts, and only "
             f"{left:.2g} once changed: {words}, or leave it out."
         )
+
+
+def _warmed(recordings: Sequence[Recording]) -> NDArray[np.bool_]:
+    """Whether each is, or comes to, another temperature than most."""
+    kelvins = np.array([float(np.mean(r.temperature_degc)) for r in recordings])
+    moved = np.array([float(np.ptp(r.temperature_degc)) for r in recordings])
+    return np.asarray(np.abs(kelvins - np.median(kelvins)) + moved > _WARMED_K)
 
 
 def _blocks(r: Recording) -> Blocks:
