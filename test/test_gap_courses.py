@@ -159,6 +159,18 @@ def test_a_split_that_steps_between_recordings_is_dynamics_in_quadrature() -> No
 
 
 @pytest.mark.slow
+def test_a_split_that_saturates_is_unknown_with_its_course_where_the_registry_has_no_charge() -> None:
+    """Beside a straight drift the rest of a course of 40 in strength was the floor, and the verdict none."""
+    campaign = campaign_of(replace(unit(), effects={"charge_accumulation": {"k_c": 6e-3, "k_s": -4e-3, "tau": 60.0}}))
+    named = diagnose(campaign)
+    assert [e.name for e in named.effects] == ["charge_accumulation"]
+    unknown = diagnose(campaign, without=("charge_accumulation",)).unknown
+    assert unknown is not None
+    assert (unknown.location, unknown.phase, unknown.depends_on) == ("dynamics", "in quadrature", "time")
+    assert "what saturates over" in unknown.form
+
+
+@pytest.mark.slow
 def test_a_reading_that_is_another_in_every_recording_is_noise() -> None:
     """Of their means: that is where repeats differ, and no model of the device says by how much."""
     rng = np.random.default_rng(3)

@@ -16,6 +16,7 @@ from gyro_calib.experiments import SimulatedInstrument
 from gyro_calib.gap.diagnose import diagnose
 from gyro_calib.gap.open_lines import OpenLine, find_open_line
 from gyro_calib.gap.parts import Linear
+from gyro_calib.recording.columns import COLUMNS
 from gyro_calib.recording.command import Command, Excitation
 from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.simulation import GyroSimulator
@@ -65,7 +66,7 @@ def ring(seed: int, more: Rippling = lambda t, phase: np.zeros(t.size, dtype=com
 
 
 def found(recordings: list[Recording]) -> OpenLine | None:
-    return find_open_line(recordings, LINEAR, 2.0 * np.pi * RESONANCE_HZ)
+    return find_open_line(recordings, LINEAR, 2.0 * np.pi * RESONANCE_HZ, 25.0)
 
 
 def gain(share: float, frequency_hz: float = RIPPLE_HZ) -> Rippling:
@@ -92,6 +93,27 @@ def test_no_noise_is_a_line() -> None:
 def test_what_keeps_its_own_frequency_is_none(force_hz: float) -> None:
     """A tone of vibration stands at another distance from each drive; one at 20 Hz from resonance would be two of them to one."""
     assert found(ring(2, force_hz=force_hz)) is None
+
+
+def test_what_rings_freely_at_another_temperature_is_none() -> None:
+    """Of hemispheres recorded warm, 5 Hz lower, it stood 58 Hz beside drives that are 60 Hz from the resonance at rest."""
+    rng = np.random.default_rng(3)
+    warm = []
+    for k, r in enumerate(ring(3)[4:]):
+        data, t = r.data.copy(), r.t[:, None]
+        freely = 3e-3 * np.exp((2j * np.pi * (58.0 if k % 2 else -58.0) - 0.5) * t) * rng.uniform(0.5, 1.0, 2)
+        data[:, 2:6] += freely.view(float)
+        data[:, COLUMNS.index("temperature")] = 35.0
+        warm.append(replace(r, data=data))
+    assert found(ring(3)[:4] + warm) is None
+    still_warm = [column_25(r) for r in warm]
+    assert found(ring(3)[:4] + still_warm) is not None
+
+
+def column_25(r: Recording) -> Recording:
+    data = r.data.copy()
+    data[:, COLUMNS.index("temperature")] = 25.0
+    return replace(r, data=data)
 
 
 def test_one_drive_alone_tells_nothing() -> None:
@@ -127,11 +149,11 @@ def rippling() -> Campaign:
 def test_a_ripple_of_the_supply_is_unknown_with_its_form_and_its_absence_is_none() -> None:
     """At the carrier: the side bands are recorded, with the converters, settling and feedthrough that a drive has there."""
     model = table_model()
-    line = find_open_line(rippling().recordings, model.linear, model.evidence.omega0_rad_s)
+    line = find_open_line(rippling().recordings, model.linear, model.evidence.omega0_rad_s, model.evidence.temperature_degc)
     assert line is not None
     assert abs(line.frequency_hz - RIPPLE_HZ) < 4.0 * line.frequency_sd_hz < 0.3
     assert abs(line.share - SHARE) < 4.0 * line.share_sd < 0.5 * SHARE
-    assert find_open_line(on_a_table().recordings, model.linear, model.evidence.omega0_rad_s) is None
+    assert find_open_line(on_a_table().recordings, model.linear, model.evidence.omega0_rad_s, model.evidence.temperature_degc) is None
     unknown = diagnose(rippling()).unknown
     assert unknown is not None
     assert unknown.form.startswith("u times a gain")

@@ -39,6 +39,8 @@ _PLACES_K, _HALF_WIDTH = 8, 0.6
 _SHORTEST_S, _FINER, _LONGEST = 15.0, 0.5, 0.5
 #: how soon what is switched on with a recording settles [s]
 _SETTLING_S = (2.0, 5.0, 15.0)
+#: time constants of what charges, warms up or ages from the beginning of the campaign on, over its time
+_SATURATES = (0.12, 0.25, 0.5)
 #: size of an unnamed course over the gain or the damping that it changes, sd: one of order one would wipe out an axis that holds but noise
 _SIZE = 0.01
 #: where, in which phase, and of what shape, each an unknown: of an axis, of both alike, of what makes one axis unlike the other,
@@ -202,6 +204,10 @@ def _courses(evidence: CampaignEvidence) -> Iterator[_Course]:
     for start in starts[1:]:
         step = (lambda s, start=start: 1.0 * (s.time_s >= start - 1e-6),)  # type: ignore[misc]
         yield _Course(f"x times what is another from {start:.0f} s on", len(starts) - 1, step)
+    for share in _SATURATES:
+        tau = share * span
+        saturating = (lambda s, tau=tau: -np.expm1(-s.time_s / tau),)  # type: ignore[misc]
+        yield _Course(f"x times what saturates over {tau:.2g} s", len(_SATURATES), saturating)
     for tau in _SETTLING_S:
         settling = (lambda s, tau=tau: np.exp(-(s.time_s - s.time_s[0]) / tau),)  # type: ignore[misc]
         yield _Course(f"x times what settles anew in each recording over {tau:.0f} s", len(_SETTLING_S), settling)

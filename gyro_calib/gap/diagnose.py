@@ -106,7 +106,7 @@ def diagnose(
     report(0.7, "selecting effects")
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
-    open_line = find_open_line(recordings, model.linear, model.evidence.omega0_rad_s)
+    open_line = find_open_line(recordings, model.linear, model.evidence.omega0_rad_s, model.evidence.temperature_degc)
     beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear), open_line)
     beside = with_coarse_drive(beside, model, recordings, left_out)
     beside = with_flickers(beside, model.evidence, model.linear, model.noise, left_out)

@@ -103,17 +103,17 @@ class _Open:
         return np.asarray(np.where(self.heard[k], np.abs(self.left[k]) ** 2 / self.floor[k], np.nan))
 
 
-def find_open_line(recordings: Sequence[Recording], linear: Linear, omega0_rad_s: float) -> OpenLine | None:
+def find_open_line(recordings: Sequence[Recording], linear: Linear, omega0_rad_s: float, temperature_degc: float) -> OpenLine | None:
     """The line beside open drives of most evidence, if it is one.
 
     Parameters
     ----------
     recordings : sequence of Recording
     linear : Linear
-    omega0_rad_s : float
-        About which its A is told.
+    omega0_rad_s, temperature_degc : float
+        About which its A is told: of what is warmer the free motion stands hertz away.
     """
-    found = [_open(r, linear, omega0_rad_s) for r in recordings if _is_open(r)]
+    found = [_open(r, linear, omega0_rad_s) for r in recordings if _is_open(r, temperature_degc)]
     if len(found) < _FEWEST or len({round(o.drive_hz, 3) for o in found}) < _FEWEST_DRIVES:
         return None
     step = min(o.bin_hz for o in found)
@@ -132,11 +132,13 @@ def find_open_line(recordings: Sequence[Recording], linear: Linear, omega0_rad_s
     return _told(found, float(grid[best]), float(evidence[best])) if evidence[best] > _MARGIN else None
 
 
-def _is_open(r: Recording) -> bool:
-    """Whether one drive acts here at one amplitude and frequency, at one temperature and off every loop."""
+def _is_open(r: Recording, temperature_degc: float) -> bool:
+    """Whether one drive acts here at one amplitude and frequency, at the temperature of the linear device and off every loop."""
     e = r.command.excitation
     there = r.command.mode == "loops_off" and e.kind == "drive" and e.axis in ("x", "y")
-    return there and r.duration_s >= _SHORTEST_S and len(r) >= _FEWEST_ROWS and float(np.ptp(smooth_temperature(r))) < WARMING_K
+    if not there or r.duration_s < _SHORTEST_S or len(r) < _FEWEST_ROWS:
+        return False
+    return float(np.abs(smooth_temperature(r) - temperature_degc).max()) < WARMING_K
 
 
 def _open(r: Recording, linear: Linear, omega0_rad_s: float) -> _Open:
