@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -15,6 +16,7 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.commanded import check_commanded
+from gyro_calib.gap.diagnose import diagnose
 from gyro_calib.gap.odd_one_out import check_alike
 from gyro_calib.gap.one_clock import on_one_clock
 from gyro_calib.gap.one_device import check_one_device, said_of_decay, said_of_reference
@@ -209,3 +211,55 @@ def _smoothed(columns: np.ndarray) -> np.ndarray:
     lines = np.fft.rfft(columns, axis=0)
     lines[40:] = 0.0
     return np.fft.irfft(lines, len(columns), axis=0)
+
+
+def test_a_recording_twice_is_named_though_its_clock_ran_on() -> None:
+    again = column("t", lambda t: t + 1e4)(ring().recordings[4])
+    with pytest.raises(DataError, match="Leave one of them out"):
+        on_one_clock([*ring(), again])
+
+
+def test_a_gyro_at_rest_is_not_shaken_and_unequal_pick_offs_are_no_modulation() -> None:
+    rows = 3000
+    data = np.zeros((rows, len(COLUMNS)))
+    data[:, 0], data[:, COLUMNS.index("ref_freq")] = 1e-3 * np.arange(rows), 15e3
+    data[:, 2:6] = 3e-6 * np.random.default_rng(1).standard_normal((rows, 4))
+    check_commanded([*ring(), Recording("r", data, Command("loops_off"), 1000.0, "dark")], 1.5)
+    unequal = []
+    for r in hemisphere():
+        held = r.data.copy()
+        held[:, 4:6] *= 1.1
+        unequal.append(replace(r, data=held))
+    check_commanded(unequal, decay(hemisphere()))
+
+
+def test_a_resonance_without_a_coefficient_is_no_wrong_temperature() -> None:
+    """Waves of a ring whose modes part by 0.2 Hz gave its coefficient 1e-5, and what was warmed knew nothing of that."""
+    recordings = list(hemisphere())
+    warm = column("temperature", lambda k: k + 8.0)(recordings[0])
+    check_one_device([column("ref_freq", lambda f, k=k: f + 0.05 * (k % 3))(r) for k, r in enumerate([warm, *recordings[1:]])])
+
+
+def test_what_takes_an_axis_away_mends_no_small_miss() -> None:
+    """A base that swayed by 1e-3 rad/s was a pick-off in millivolts."""
+    gain = hemisphere().factory["angular_gain_kappa"]
+    label = next(r.label for r in hemisphere() if r.label.startswith("free"))
+
+    def swaying(r: Recording) -> Recording:
+        angle = 3e-3 * np.sin(2.0 * np.pi * 2.0 * r.t)
+        turn = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), 2, 0)
+        pick = np.einsum("nij,nj->ni", turn, r.pick)
+        data = r.data.copy()
+        data[:, 2:6] = np.stack([pick[:, 0].real, pick[:, 0].imag, pick[:, 1].real, pick[:, 1].imag], axis=1)
+        return replace(r, data=data)
+
+    check_alike(changed(label, swaying, hemisphere()), gain)
+
+
+def test_equations_without_a_solution_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*args: object, **kwargs: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(sys.modules["gyro_calib.gap.diagnose"], "look_at", fails)
+    with pytest.raises(DataError, match=r"no solution \(Singular matrix\).*few values"):
+        diagnose(ring())

@@ -219,3 +219,13 @@ def test_live_check_keeps_up_with_any_stream():
         check_rows(rows, 1000.0, -0.001)
     device_s = 200 * len(rows) / 1000.0
     assert time.perf_counter() - start < 0.1 * device_s
+
+
+def test_a_drive_that_never_moves_with_its_loop_closed_is_frozen_and_one_that_is_rounded_is_not():
+    rows = noisy_rows()
+    rows[:, column("x_drive_s")] = 0.17
+    with pytest.raises(DataError, match=r"x_drive_s.*in all \d+ samples.*frozen"):
+        validate(make_recording(rows, Command("ftr_x")), FACTORY)
+    rows = noisy_rows()
+    rows[:, 2:10] = np.round(rows[:, 2:10] / 3e-4) * 3e-4
+    validate(make_recording(rows, Command("ftr_x")), FACTORY)

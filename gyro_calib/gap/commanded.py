@@ -15,6 +15,8 @@ __all__ = ["check_commanded"]
 
 #: share of a wave that is left at the second half of a record over that of the first, of which the decay alone leaves at most so much
 _STAYS, _DECAYED = 0.95, 0.8
+#: share of the largest wave below which a gyro rests
+_RESTS = 3e-3
 #: drive of an axis over what the recordings' largest carries, from which on it acts
 _ACTS = 1e-3
 #: swing of a held wave's amplitude that no loop leaves, relative to its mean, less a parabola in time
@@ -41,16 +43,17 @@ def check_commanded(recordings: Sequence[Recording], decay_rate: float) -> None:
         Names the recording, what is seen and the attribute.
     """
     largest_v = max((float(np.abs(r.drive).max()) for r in recordings), default=0.0)
+    wave_v = max((float(np.sqrt(np.mean(np.abs(r.pick) ** 2))) for r in recordings), default=0.0)
     for r in recordings:
         if r.command.mode == "loops_off" and r.command.excitation.kind not in ("drive", "body"):
-            _check_free(r, decay_rate, largest_v)
-        if r.command.mode.startswith("ftr") or r.command.mode == "whole_angle":
+            _check_free(r, decay_rate, largest_v, wave_v)
+        if r.command.mode.startswith("ftr"):
             _check_held(r)
     _check_open_volts([r for r in recordings if r.command.mode == "loops_off" and r.command.excitation.kind == "drive"])
     _check_senses([r for r in recordings if r.command.setpoints.virtual_precession_v != 0.0 and not is_turned(r)])
 
 
-def _check_free(r: Recording, decay_rate: float, largest_v: float) -> None:
+def _check_free(r: Recording, decay_rate: float, largest_v: float, wave_v: float) -> None:
     """With loops off and no excitation a wave decays, and no drive acts."""
     volts = np.median(np.abs(r.drive), axis=0)
     axis = int(np.argmax(volts))
@@ -61,7 +64,8 @@ def _check_free(r: Recording, decay_rate: float, largest_v: float) -> None:
         )
     half = len(r) // 2
     first, second = (float(np.sqrt(np.mean(np.abs(part) ** 2))) for part in (r.pick[:half], r.pick[half:]))
-    if math.exp(-0.5 * decay_rate * r.duration_s) < _DECAYED and second > _STAYS * first:
+    # what is left of a wave that was braked is noise
+    if math.exp(-0.5 * decay_rate * r.duration_s) < _DECAYED and second > max(_STAYS * first, _RESTS * wave_v):
         raise DataError(
             f"Recording {r.label!r} says that its loops are off and nothing excites it, but its wave of {second:.4g} V does not decay. "
             "Give the attribute body_excitation (frequency, volts) or open_drive, or leave the recording out."

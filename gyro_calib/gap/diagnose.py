@@ -15,8 +15,8 @@ from ..quantity import Quantity
 from ..recording.recording import Campaign
 from ..units import DEG_H, PPM
 from .candidates import registry_name
+from .checks import checked
 from .coarse_drive import with_coarse_drive
-from .commanded import check_commanded
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
 from .flicker_effects import FLICKERS, with_flickers, without_walked
@@ -30,12 +30,9 @@ from .loud import loudest
 from .model import CampaignModel, look_at
 from .near_tones import find_near_tone
 from .next_experiment import experiment_for, next_experiment
-from .odd_one_out import check_alike
-from .one_clock import on_one_clock
-from .one_device import check_one_device, said_of_decay, said_of_reference
+from .one_device import said_of_decay
 from .open_lines import find_open_line
 from .periods import find_period
-from .preflight import check_campaign, usable
 from .probabilities import beside_unknown, none_or_unknown
 from .rate_table import said_late
 from .reciprocity import RECIPROCITY, reciprocity
@@ -90,19 +87,20 @@ def diagnose(
     DataError
         Recordings that contradict their attributes or themselves: names the recording and the remedy.
     """
+    try:
+        return _diagnose(campaign, tuple(without), on_progress or (lambda fraction, text: None))
+    except np.linalg.LinAlgError as error:
+        said = f"{campaign.device_id} must tell a linear device and its noise, but the equations have no solution ({error})"
+        raise DataError(f"Recordings of {said}. Record with all the converters' steps: columns of a few values do that.") from error
+
+
+def _diagnose(campaign: Campaign, left_out: tuple[str, ...], report: Callable[[float, str], None]) -> Diagnosis:
     begun = time.monotonic()
-    report = on_progress or (lambda fraction, text: None)
-    warnings = check_campaign(campaign)
-    recordings, said = on_one_clock(usable(campaign))
-    warnings += [*said, *said_of_reference(recordings, campaign.factory)]
-    check_one_device(recordings)
     kappa, f0, q = (_factory(campaign, name) for name in ("angular_gain_kappa", "nominal_f0_hz", "nominal_q"))
-    check_commanded(recordings, math.pi * f0 / q)
-    check_alike(recordings, kappa)
-    left_out = tuple(without)
+    recordings, warnings = checked(campaign, kappa, math.pi * f0 / q)
     model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
-    late = (*said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s))
-    warnings = [*warnings, *said_of_decay(model.linear.A, math.pi * f0 / q), *late]
+    late = [*said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
+    warnings += [*said_of_decay(model.linear.A, math.pi * f0 / q), *late]
     report(0.7, "selecting effects")
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]

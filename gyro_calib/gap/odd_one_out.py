@@ -32,7 +32,9 @@ _BLOCK_S, _FEWEST_ROWS, _FEWEST = 0.1, 200, 4
 _UNLIKE, _MENDED, _BETTER = 0.5, 0.1, 0.5
 #: from here on it is less like them than one at their temperature is; what a change must leave of that, of a device that the others tell
 #: and of one for all, and over what they miss themselves
-_LESS_LIKE, _LEAVES, _USUAL = 0.01, 0.1, 3.0
+_LESS_LIKE, _LEAVES, _USUAL = 0.01, 0.07, 2.0
+#: size of columns in another unit over the usual one
+_OTHER_UNIT = 0.03
 #: farther from the others' temperature [K] the damping alone misses 0.025
 _WARMED_K = 2.0
 #: changes whose one device misses no more than so many times the least are as good as each other
@@ -57,6 +59,11 @@ class _Mend:
     words: str
     pick: Change | None = None
     drive: Change | None = None
+    #: whether it leaves the columns' sizes where they were: what takes an axis away, or names one after the other, mends what is small
+    keeps: bool = True
+    #: what it multiplies columns by, and whose
+    scale: float = 1.0
+    axes: tuple[int, ...] = (0, 1)
 
     def __call__(self, b: Blocks) -> Blocks:
         if self.pick is not None:
@@ -71,29 +78,30 @@ def _on(axes: str, change: Change) -> Change:
 
 
 def _mends() -> list[_Mend]:
-    changes: tuple[tuple[str, Change], ...] = (
-        ("the sign of the {} looks wrong. Turn it", lambda z: -z),
-        ("c and s of the {} look swapped. Swap them back", lambda z: 1j * z.conj()),
-        ("the s of the {} look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn it", lambda z: z.conj()),
-        ("the {} look like mV. Give them in volts", lambda z: 1e-3 * z),
-        ("the {} look like kV. Give them in volts", lambda z: 1e3 * z),
+    changes: tuple[tuple[str, Change, float], ...] = (
+        ("the sign of the {} looks wrong. Turn it", lambda z: -z, 1.0),
+        ("c and s of the {} look swapped. Swap them back", lambda z: 1j * z.conj(), 1.0),
+        ("the s of the {} look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn it", lambda z: z.conj(), 1.0),
+        ("the {} look like mV. Give them in volts", lambda z: 1e-3 * z, 1e-3),
+        ("the {} look like kV. Give them in volts", lambda z: 1e3 * z, 1e3),
     )
     found = []
-    for words, change in changes:
-        for axes, whose in (("x", "x "), ("y", "y ")):
-            found.append(_Mend(words.format(f"{whose}drive columns"), drive=_on(axes, change)))
-            found.append(_Mend(words.format(f"{whose}pick-off columns"), pick=_on(axes, change)))
+    for words, change, scale in changes:
+        keeps = scale == 1.0
+        for k, axis in enumerate("xy"):
+            found.append(_Mend(words.format(f"{axis} drive columns"), None, _on(axis, change), keeps, scale, (k,)))
+            found.append(_Mend(words.format(f"{axis} pick-off columns"), _on(axis, change), None, keeps, scale, (k,)))
         # drives times a number are pick-offs over it, and where the phase of the pick-offs is held, conjugate ones are what they were
-        found.append(_Mend(words.format("drive columns (or the pick-off columns)"), drive=change))
+        found.append(_Mend(words.format("drive columns (or the pick-off columns)"), None, change, keeps, scale))
 
     def swap(z: ComplexArray) -> ComplexArray:
         return z[:, ::-1]
 
     return [
         *found,
-        _Mend("the drive columns of x and y look swapped. Swap them back", drive=swap),
-        _Mend("the pick-off columns of x and y look swapped. Swap them back", pick=swap),
-        _Mend("all columns of x and y look swapped. Swap them back", swap, swap),
+        _Mend("the drive columns of x and y look swapped. Swap them back", drive=swap, keeps=False),
+        _Mend("the pick-off columns of x and y look swapped. Swap them back", pick=swap, keeps=False),
+        _Mend("all columns of x and y look swapped. Swap them back", swap, swap, keeps=False),
     ]
 
 
@@ -131,9 +139,9 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
                 continue
             # the others may leave open what it alone tells (x held but once with a side band): then one device is as good as it is
             with_it = _worst([*others, mended])
-            far = missed > _UNLIKE and with_it < _BETTER * worst
-            near = not warmed[place] and left < _USUAL * usual
-            if far or (near and mended.missed(_device_of([*others, mended])) < _LEAVES * own.missed(of_all)):
+            far = missed > _UNLIKE and with_it < _BETTER * worst and _has_that_size(mend, blocks, place)
+            near = mend.keeps and not warmed[place] and left < min(_USUAL * usual, _LEAVES * missed)
+            if far or (near and mended.missed(_device_of([*others, mended])) < _MENDED * own.missed(of_all)):
                 found.append((with_it, r.label, missed, left, mend.words))
     if found:
         # one wrong recording spoils what is foretold of the others, too: the cause is what makes all of them those of one device, and of
@@ -144,6 +152,16 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
             f"Recording {label!r} must obey the equations of the other {len(waves) - 1}, but misses {missed:.2g} of what acts, and only "
             f"{left:.2g} once changed: {words}, or leave it out."
         )
+
+
+def _has_that_size(mend: _Mend, blocks: Sequence[Blocks], place: int) -> bool:
+    """Whether columns that are said to be in another unit are so much larger, or smaller, than those of the others."""
+    if mend.scale == 1.0:
+        return True
+    columns = [(b.drive if mend.pick is None else b.pick)[:, list(mend.axes)] for b in blocks]
+    sizes = np.array([float(np.sqrt(np.mean(np.abs(c) ** 2))) for c in columns])
+    usual = float(np.median(np.delete(sizes, place)))
+    return bool((sizes[place] < _OTHER_UNIT * usual) if mend.scale > 1.0 else (_OTHER_UNIT * sizes[place] > usual))
 
 
 def _warmed(recordings: Sequence[Recording]) -> NDArray[np.bool_]:

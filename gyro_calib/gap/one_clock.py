@@ -43,15 +43,9 @@ def on_one_clock(recordings: Sequence[Recording]) -> tuple[list[Recording], list
     """
     order = sorted(recordings, key=lambda r: float(r.t[0]))
     overlapping = [(a, b) for a, b in pairwise(order) if float(a.t[-1] - b.t[0]) > _SHARED * min(a.duration_s, b.duration_s)]
+    _check_once(recordings)
     if not overlapping:
         return list(recordings), []
-    for k, r in enumerate(recordings):
-        for other in recordings[:k]:
-            if len(r) == len(other) and np.array_equal(r.data[:, 2:], other.data[:, 2:]):
-                raise DataError(
-                    f"Each recording must be there once, but the {len(r)} rows of {r.label!r} (t from {r.t[0]:.6g} s) are those of "
-                    f"{other.label!r}. Leave one of them out, or give each file once."
-                )
     a, b = overlapping[0]
     warning = (
         f"One clock must run through the campaign, but t of {a.label} ({a.t[0]:.6g} to {a.t[-1]:.6g} s) and of {b.label} ({b.t[0]:.6g} to "
@@ -59,6 +53,19 @@ def on_one_clock(recordings: Sequence[Recording]) -> tuple[list[Recording], list
         "what drifts is told roughly. Give t of a clock that is not set back."
     )
     return _behind_each_other(recordings), [warning]
+
+
+def _check_once(recordings: Sequence[Recording]) -> None:
+    seen: dict[tuple[int, bytes], list[Recording]] = {}
+    for r in recordings:
+        alike = seen.setdefault((len(r), r.data[len(r) // 2, 2:].tobytes()), [])
+        for other in alike:
+            if np.array_equal(r.data[:, 2:], other.data[:, 2:]):
+                raise DataError(
+                    f"Each recording must be there once, but the {len(r)} rows of {r.label!r} (t from {r.t[0]:.6g} s) are those of "
+                    f"{other.label!r} (t from {other.t[0]:.6g} s). Leave one of them out, or give each file once."
+                )
+        alike.append(r)
 
 
 def _behind_each_other(recordings: Sequence[Recording]) -> list[Recording]:

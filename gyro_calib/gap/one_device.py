@@ -179,7 +179,8 @@ def _check_alike(courses: Sequence[_Course], slope: float) -> None:
     moved_k = np.array([np.ptp(c.kelvins) for c in courses])
     strange = np.abs(apart) > most + abs(slope) * (_APART_K + moved_k)
     # a temperature that the resonance knows nothing of
-    unmoved = np.abs(apart - slope * (at_k - kelvins)) < _EXPLAINED * np.abs(slope * (kelvins - at_k))
+    expected = np.abs(slope * (kelvins - at_k))
+    unmoved = (np.abs(apart - slope * (at_k - kelvins)) < _EXPLAINED * expected) & (expected > courses[0].allowed)
     strange |= (
         unmoved & (moved_k < WARMING_K) & (np.abs(kelvins - at_k) > _APART_K) & (np.abs(apart) > _TIMES_USUAL * np.median(np.abs(apart)))
     )

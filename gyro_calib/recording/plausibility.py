@@ -23,6 +23,8 @@ _CLIP_LEVEL = 0.999
 _FAR_ABOVE = 5.0
 #: so many equal samples in a row at a channel's extreme are a flat top
 _FLAT_TOP_SAMPLES = 8
+#: a column of no more values, of one distance, is rounded
+_ROUNDED_VALUES = 256
 #: an extreme that stands so many times as often as any other value is where a channel clips
 _TIMES_OTHERS = 10
 #: so many equal samples in a row of a noisy channel are a frozen one
@@ -95,12 +97,16 @@ def _check_clipping(recording: Recording, factory: Mapping[str, Any], where: str
         column = recording.column(name)
         for extreme in (column.max(), column.min()):
             start, length = _longest_run(column == extreme)
-            if _FLAT_TOP_SAMPLES <= length <= column.size // 2 and _moves_beside(column, start, length, recording):
+            if _FLAT_TOP_SAMPLES <= length <= column.size // 2 and _is_flat_top(column, start, length, recording):
                 raise DataError(
                     f"Column {name}{where} must not sit at its extreme, but got {length} samples of exactly {extreme:.6g} V from "
                     f"{_at(recording, start)}: a flat top, the channel clips. Lower the amplitude or the gain, and record again."
                 )
         _check_extremes(recording, name, where)
+
+
+def _is_flat_top(column: FloatArray, start: int, length: int, recording: Recording) -> bool:
+    return _moves_beside(column, start, length, recording) and not _is_rounded(column)
 
 
 def _check_extremes(recording: Recording, name: str, where: str) -> None:
@@ -126,14 +132,20 @@ def _check_frozen(recording: Recording, where: str) -> None:
     for name in _PICK_NAMES:
         column = recording.column(name)
         start, length = _longest_run(np.diff(column) == 0.0)
-        if length + 1 >= _FROZEN_SAMPLES and _moves_beside(column, start, length + 1, recording) and not _rounds_to_zero(recording, name):
+        frozen = length + 1 >= _FROZEN_SAMPLES and _moves_beside(column, start, length + 1, recording)
+        if frozen and not _rounds_to_zero(recording, name) and not _is_rounded(column):
             raise DataError(
                 f"Column {name}{where} must carry the noise of its channel, but got {length + 1} equal samples of {column[start]:.6g} V "
                 f"from {_at(recording, start)}: the channel is frozen. Check its cable and the logger, and record again."
             )
+    # with loops closed a drive answers that noise
+    closed = recording.command.mode.startswith("ftr") or recording.command.mode == "whole_angle"
+    for name in CHANNELS if closed else _PICK_NAMES:
+        column = recording.column(name)
         # one whose mean is nothing may be less than half a step of its converter
         still = column[0] != 0.0 and not np.ptp(column)
-        if still and any(_is_noisy(recording.column(other), recording) for other in _PICK_NAMES):
+        others = [recording.column(other) for other in (_PICK_NAMES if name in _PICK_NAMES else CHANNELS[4:]) if other != name]
+        if still and all(_is_noisy(other, recording) and not _is_rounded(other) for other in others if np.any(other)):
             raise DataError(
                 f"Column {name}{where} must carry the noise of its channel, but got {column[0]:.6g} V in all {len(recording)} samples from "
                 f"{_at(recording, 0)}: the channel is frozen. Check its cable and the logger, and record again."
@@ -147,6 +159,16 @@ def _check_frozen(recording: Recording, where: str) -> None:
                 f"Channel {axis}_pick{where} must carry the noise of its channel, but got {recording.column(c)[0]:.6g} V in all "
                 f"{len(recording)} samples from {_at(recording, 0)}: the channel is dead. Check its cable, and record again."
             )
+
+
+def _is_rounded(column: FloatArray) -> bool:
+    """Whether a column comes to a few values only, of one distance: steps of a converter or of a file."""
+    values = np.unique(column)
+    if values.size > _ROUNDED_VALUES or values.size < 2:
+        return False
+    steps = np.diff(values)
+    places = steps / steps.min()
+    return bool(np.all(np.abs(places - np.rint(places)) < 0.05))
 
 
 def _rounds_to_zero(recording: Recording, name: str) -> bool:
