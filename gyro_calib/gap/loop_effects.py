@@ -34,9 +34,10 @@ LOOP_EFFECTS = ("loop_error", "angle_latency")
 _SETTLED = 1e-6
 #: share of the converter's range from which on a drive is at its end, and no loop can hold what it holds
 _FULL = 0.98
-#: how well the factory knows its latency; what control has where nothing is said, in its periods: from half (a drive at once) to six, of
-#: overlapping windows, periods of computing and a pole of the amplifier (six plants came to 0.9 to 3.3, a seventh to 2.2 to 5.6)
-_STATED, _MEAN_PERIODS, _SD_PERIODS, _MOST_PERIODS = 0.1, 3.25, 1.6, 6.0
+#: how well the factory knows its latency; what control has where nothing is said, in its periods: from half (a drive at once) to twelve, of
+#: overlapping windows, periods of computing, filters and a pole of the amplifier (six plants came to 0.9 to 3.3, a seventh to 2.2 to 5.6,
+#: an eighth to 2.8 to 10.0)
+_STATED, _MEAN_PERIODS, _SD_PERIODS, _MOST_PERIODS = 0.1, 5.0, 3.0, 12.0
 
 
 @dataclass(frozen=True)
