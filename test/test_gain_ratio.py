@@ -10,11 +10,19 @@ import pytest
 from wave_samples import low_q_hrg, simulate, whole_angle
 
 from gyro_calib.device import Device, Nonlinearity, load_device
-from gyro_calib.errors import CalibrationRefused
+from gyro_calib.errors import CalibrationRefused, DataError
 from gyro_calib.estimation.drive_chain import DriveChain, drive_chain_of
 from gyro_calib.estimation.gain_ratio import off_axis, reference_ratio, ring_gain, scale_factor, stiffness_gain, without_feedthrough
 from gyro_calib.experiments import Limits, Plan, SimulatedInstrument, run_plan
-from gyro_calib.experiments.whole_angle_plans import scale_factor_steps
+from gyro_calib.experiments.whole_angle_plans import (
+    LEAST_RINGS_UP,
+    LONGEST_LEG_S,
+    MOST_SHARE,
+    RING_SHARE,
+    RINGS_UP,
+    nominal_gain,
+    scale_factor_steps,
+)
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.command import Command
 from gyro_calib.recording.recording import Recording
@@ -93,6 +101,25 @@ def test_the_short_legs_of_a_ring_give_its_gain_with_the_feedthrough_taken_out()
     clean = without_feedthrough(recordings[0], device.feedthrough_matrix())
     np.testing.assert_allclose(clean.pick + clean.drive @ device.feedthrough_matrix().T, recordings[0].pick, atol=1e-14)
     np.testing.assert_array_equal(clean.drive, recordings[0].drive)
+
+
+def test_a_wave_that_decays_fast_takes_more_of_its_drives_and_one_that_they_cannot_hold_is_refused() -> None:
+    """A unit whose usual drive rings it up at 1.18 times its decay had no plan."""
+    factory = load_device("hrg_hardware").factory()
+    gain, full, amplitude = nominal_gain(factory), factory["dac_full_scale_V"], factory["nominal_amplitude_v"]
+
+    def ring_up(over_decay: float) -> tuple[float, float]:
+        """Drive's rate at the usual share over the decay -> share of the converter and length of the leg [s]."""
+        quality = math.pi * factory["nominal_f0_hz"] * over_decay / (RING_SHARE * full / amplitude * gain)
+        step = next(s for s in scale_factor_steps({**factory, "nominal_q": quality}, "quick") if s.label == "ring_up_x")
+        return step.command.setpoints.amplitude_gain_v_per_v * amplitude / full, step.duration_s
+
+    assert ring_up(3.0)[0] == pytest.approx(RING_SHARE)
+    share, leg_s = ring_up(1.18)
+    assert share == pytest.approx(RING_SHARE * RINGS_UP / 1.18)
+    assert 0.5 < leg_s < LONGEST_LEG_S
+    with pytest.raises(DataError, match="able to ring the wave up"):
+        ring_up(0.99 * LEAST_RINGS_UP * RING_SHARE / MOST_SHARE)
 
 
 def test_commanded_control_is_off_by_the_latency_of_the_loop_and_the_recorded_one_is_not() -> None:

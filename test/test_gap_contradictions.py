@@ -17,6 +17,7 @@ from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, gap_whole_angle_plan, run_plan
 from gyro_calib.gap.commanded import check_commanded
 from gyro_calib.gap.diagnose import diagnose
+from gyro_calib.gap.lines import lines_of
 from gyro_calib.gap.odd_one_out import check_alike
 from gyro_calib.gap.one_clock import on_one_clock
 from gyro_calib.gap.one_device import check_one_device, said_of_decay, said_of_reference
@@ -234,10 +235,13 @@ def test_a_gyro_at_rest_is_not_shaken_and_unequal_pick_offs_are_no_modulation() 
 
 
 def test_a_resonance_without_a_coefficient_is_no_wrong_temperature() -> None:
-    """Waves of a ring whose modes part by 0.2 Hz gave its coefficient 1e-5, and what was warmed knew nothing of that."""
+    """A warm wave stood elsewhere by its azimuth: that was the coefficient, of which another warm one knew nothing."""
     recordings = list(hemisphere())
-    warm = column("temperature", lambda k: k + 8.0)(recordings[0])
-    check_one_device([column("ref_freq", lambda f, k=k: f + 0.05 * (k % 3))(r) for k, r in enumerate([warm, *recordings[1:]])])
+    elsewhere, unmoved = [k for k, r in enumerate(recordings) if r.command.mode == "whole_angle"][:2]
+    for k in (elsewhere, unmoved):
+        recordings[k] = column("temperature", lambda t: t + 8.0)(recordings[k])
+    recordings[elsewhere] = column("ref_freq", lambda f: 1.0001 * f)(recordings[elsewhere])
+    check_one_device(recordings)
 
 
 def test_what_takes_an_axis_away_mends_no_small_miss() -> None:
@@ -263,3 +267,15 @@ def test_equations_without_a_solution_are_refused_in_words(monkeypatch: pytest.M
     monkeypatch.setattr(sys.modules["gyro_calib.gap.diagnose"], "look_at", fails)
     with pytest.raises(DataError, match=r"no solution \(Singular matrix\).*few values"):
         diagnose(ring())
+
+
+def test_a_recording_of_three_periods_of_its_side_band_has_quiet_lines() -> None:
+    """Between its side bands there is nothing, and the diagnosis of a recording that was cut short ended in a traceback."""
+    whole = next(r for r in ring() if r.label == "side_x_a1_1.5hz")
+    for periods in (1.5, 2.5, 3.3, 20.0):
+        rows = round(periods / whole.command.excitation.frequency_hz * whole.sample_rate_hz)
+        cut = replace(whole, data=whole.data[:rows])
+        lines = lines_of(cut, 0.0)
+        assert lines.quiet
+        busy = whole.command.excitation.frequency_hz * np.arange(1, 8)
+        assert min(float(np.abs(busy - f).min()) for f in lines.quiet) > 1.6 / cut.duration_s

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..errors import DataError
+from ..estimation.wave import wave_coordinates
 from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
 
@@ -24,8 +25,9 @@ _SWINGS = 0.02
 #: an open drive's volts over the stated ones, against the other open drives' (a multiplexed drive acts for a share of the time)
 _UNLIKE = 0.25
 _FEWEST_OPEN = 3
-#: a wave is turned by so much [rad] for its sense to be told; share of the turned records that have the others' sense
-_TURNED_RAD, _MOST_SENSE = 0.2, 0.7
+#: a wave is turned by so much [rad of psi], by so many of the most volts, for its sense to be told; share of the turned records that have
+#: the others' sense
+_TURNED_RAD, _STRONG, _MOST_SENSE = 0.2, 0.4, 0.7
 
 
 def check_commanded(recordings: Sequence[Recording], decay_rate: float) -> None:
@@ -108,8 +110,9 @@ def _check_senses(turned: Sequence[Recording]) -> None:
     volts = [r.command.setpoints.virtual_precession_v for r in turned]
     strongest = max((abs(v) for v in volts), default=0.0)
     # a slow one may be turned back by the drift of the device
-    told = [(r, v, a) for r, v in zip(turned, volts, strict=True) if abs(v) > 0.4 * strongest and abs(a := _turned_rad(r)) > _TURNED_RAD]
-    senses = [(r, math.copysign(1.0, a * v)) for r, v, a in told]
+    strong = [(r, v, wave_coordinates(r).azimuth_rad) for r, v in zip(turned, volts, strict=True) if abs(v) > _STRONG * strongest]
+    angles = [(r, v, float(psi[-1] - psi[0])) for r, v, psi in strong]
+    senses = [(r, math.copysign(1.0, a * v)) for r, v, a in angles if abs(a) > _TURNED_RAD]
     usual = math.copysign(1.0, sum(s for _, s in senses)) if senses else 0.0
     others = [r for r, s in senses if s != usual]
     if others and len(senses) - len(others) >= _MOST_SENSE * len(senses):
@@ -118,11 +121,3 @@ def _check_senses(turned: Sequence[Recording]) -> None:
             f"Recording {r.label!r} says virtual_precession_V = {r.command.setpoints.virtual_precession_v:+.4g}, but its wave turns the "
             f"other way than those of the other {len(senses) - len(others)} do. Correct the sign of the attribute, or swap the axes."
         )
-
-
-def _turned_rad(r: Recording) -> float:
-    """How far the azimuth psi of the wave went."""
-    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(r.pick**2, axis=1))))
-    wave = (r.pick * phase[:, None]).real
-    azimuth = np.unwrap(2.0 * np.arctan2(wave[:, 1], wave[:, 0])) / 2.0
-    return float(azimuth[-1] - azimuth[0])
