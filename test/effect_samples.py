@@ -171,3 +171,11 @@ def losses(r: Rows) -> ComplexArray:
     """The damping over its mean."""
     lossy = (r.A + r.A.T).real
     return np.asarray(2.0 * lossy / np.trace(lossy), dtype=complex)
+
+
+def of_late_y(r: Rows) -> ComplexArray:
+    """``V = D P``, D the phase of a y that is late: ``D A D^-1`` and ``D G`` instead of A and G, and its phase away from the frequency."""
+    turn = np.diag([1.0, np.exp(-2j * math.pi * 15003.7 * r.size["tau"])])
+    other = turn @ r.A @ turn.conj() - r.A
+    late = -1j * r.size["tau"] * r.away_rad_s[:, None] * r.volts * np.array([0.0, 1.0])
+    return np.asarray(r.p @ other.T + r.u @ (turn @ r.G - r.G).T + r.reading(late))

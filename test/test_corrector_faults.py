@@ -156,8 +156,13 @@ def test_a_gyro_at_the_end_of_its_range_is_not_passed_on(ready: tuple[Bench, Sta
     gyro.raw = 9.5
     bench.until_rate(corrected(9.5, RECORD))
     bench.until(lambda: bench.level == 0, "the range must clear the error")
-    # twice the wave, half the range
+    saturated = int(bench.facts["saturated"])
+    # twice the wave, half the range; while the wave settles nobody is told to turn slower, and nothing is passed on either
     gyro.set(**{"setpoint.amplitude_v": 2.0})
+    bench.until(lambda: int(bench.facts["saturated"]) > saturated, "what is beyond the new range must be counted")
+    bench.imu.clear()
+    bench.spin(2.5)
+    assert (bench.level, bench.imu) == (0, [])
     bench.until_says("Rate must stay below 4.9 rad/s")
     gyro.set(**{"setpoint.amplitude_v": 1.0})
     gyro.raw = mission

@@ -31,6 +31,7 @@ from effect_samples import (
     isotropic,
     losses,
     measured,
+    of_late_y,
     plain_device,
     pumps,
     slope,
@@ -174,15 +175,8 @@ def test_spurious_mode_answers_its_drive_as_a_resonance(plain: Device, part: str
 # ---------------------------------------------------------------- environment and time
 
 
-def _of_late_y(r: Rows) -> ComplexArray:
-    """``V = D P``, D the phase of a y that is late: ``D A D^-1`` and ``D G`` instead of A and G, and its phase away from the frequency."""
-    turn = np.diag([1.0, np.exp(-2j * math.pi * 15003.7 * r.size["tau"])])
-    other = turn @ r.A @ turn.conj() - r.A
-    late = -1j * r.size["tau"] * r.away_rad_s[:, None] * r.volts * np.array([0.0, 1.0])
-    return np.asarray(r.p @ other.T + r.u @ (turn @ r.G - r.G).T + r.reading(late))
-
-
 FED = {"e_xc": 2e-3, "e_xs": -1e-3, "e_yc": 3e-3, "e_ys": 2e-3}
+CROSSED = {"c_x": 2e-4, "c_y": -3e-4}
 RAMP_K_S, LAG_S, SWAY = 2.0, 0.3, {"frequency_hz": 1.7, "r": 0.05, "phase_rad": 0.4}
 ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_damping": ({"c": 0.02}, lambda r: -r.size["c"] * WARM_K * r.p),
@@ -197,6 +191,8 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "thermal_drive_gain": ({"g_x": 2e-3, "g_y": 3e-3}, lambda r: r.force(WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_drive_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.force(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_pickoff_gain": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.reading(WARM_K * by_axis(r, "g_x", "g_y") * r.p)),
+    "thermal_drive_coupling": (CROSSED, lambda r: r.force(WARM_K * by_axis(r, "c_x", "c_y") * r.u[:, ::-1])),
+    "thermal_pickoff_coupling": (CROSSED, lambda r: r.reading(WARM_K * by_axis(r, "c_x", "c_y") * r.p[:, ::-1])),
     "thermal_drive_gain_curvature": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.force(WARM_K**2 * by_axis(r, "g_x", "g_y") * r.u)),
     "thermal_pickoff_gain_curvature": ({"g_x": 2e-5, "g_y": 3e-5}, lambda r: r.reading(WARM_K**2 * by_axis(r, "g_x", "g_y") * r.p)),
     "thermal_pickoff_phase": ({"g_x": 2e-4, "g_y": 3e-4}, lambda r: r.reading(1j * WARM_K * by_axis(r, "g_x", "g_y") * r.p)),
@@ -212,12 +208,14 @@ ENVIRONMENT: dict[str, tuple[dict[str, float], Form]] = {
     "drive_gain_drift": ({"g_x": 0.01, "g_y": 5e-3}, lambda r: r.force(r.t[:, None] * by_axis(r, "g_x", "g_y") * r.u)),
     "drive_phase_drift": ({"g_x": 1e-3, "g_y": 5e-4}, lambda r: r.force(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.u)),
     "pickoff_gain_drift": ({"g_x": 1e-3, "g_y": 5e-4}, lambda r: r.reading(r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
+    "drive_coupling_drift": ({"c_x": 0.01, "c_y": 5e-3}, lambda r: r.force(r.t[:, None] * by_axis(r, "c_x", "c_y") * r.u[:, ::-1])),
+    "pickoff_coupling_drift": (CROSSED, lambda r: r.reading(r.t[:, None] * by_axis(r, "c_x", "c_y") * r.p[:, ::-1])),
     "feedthrough_drift": (FED, lambda r: r.reading(r.t[:, None] * r.u * fed(r))),
     "cross_feedthrough_drift": (FED, lambda r: r.reading(r.t[:, None] * r.u[:, ::-1] * fed(r))),
     "pickoff_phase_drift": ({"g_x": 2e-4, "g_y": 1e-4}, lambda r: r.reading(1j * r.t[:, None] * by_axis(r, "g_x", "g_y") * r.p)),
     "centrifugal_stiffness": ({"k": 0.5}, lambda r: 1j * r.size["k"] * RATE**2 * r.p),
     "centrifugal_stiffness_axes": ({"k_x": 0.5, "k_y": 0.2, "k_s": 0.3}, lambda r: 1j * RATE**2 * r.p @ [[0.5, 0.3], [0.3, 0.2]]),
-    "multiplexing_skew": ({"tau": 2e-6}, lambda r: _of_late_y(r)),
+    "multiplexing_skew": ({"tau": 2e-6}, of_late_y),
     "rate_dependent_damping": ({"c": 0.5}, lambda r: -r.size["c"] * RATE * r.p),
     "angular_gain_error": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * r.p @ TURN.T),
     "rate_nonlinearity": ({"e": 0.1}, lambda r: -r.size["e"] * 0.8 * RATE * abs(RATE) * r.p @ TURN.T),

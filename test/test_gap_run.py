@@ -94,6 +94,18 @@ def test_the_campaign_is_recorded_diagnosed_and_kept(diagnose: Replaced, tmp_pat
     assert bench.simulator.command == Command(), "back in its mission"
     said = [s.message for s in bench.seen if s.state is RunState.ESTIMATING]
     assert f"diagnosing {len(campaign)} recordings, 50%: noise" in said
+    assert [s.eta_s for s in bench.seen if s.state is RunState.ESTIMATING] == pytest.approx([60.0, 0.0, 0.0], abs=1.0)
+
+
+def test_its_progress_goes_on_while_the_gap_is_diagnosed(diagnose: Replaced, tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.run()
+    fractions = [s.fraction for s in bench.seen if s.state in (RunState.RUNNING, RunState.ESTIMATING)]
+    assert fractions == sorted(fractions)
+    recorded = max(s.fraction for s in bench.seen if s.state is RunState.RUNNING)
+    assert recorded == pytest.approx(bench.plan.duration_s / (bench.plan.duration_s + 60.0), abs=0.01)
+    diagnosing = [s.fraction for s in bench.seen if s.state is RunState.ESTIMATING]
+    assert diagnosing == pytest.approx([recorded, (1.0 + recorded) / 2.0, 1.0], abs=0.01)
 
 
 def test_a_clean_gyro_asks_for_no_attention(diagnose: Replaced, tmp_path: Path) -> None:

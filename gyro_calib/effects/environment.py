@@ -107,6 +107,20 @@ THERMAL = (
         ("thermal_drive_phase", "thermal_split"),
     ),
     Effect(
+        "thermal_drive_coupling", "Drives that couple or rotate with the temperature", "environment", (11, 12, 29),
+        pair("c_x c_y", "1/K", 2e-4, 0.05, "what acts on the axis of the other one's drive, per kelvin"),
+        ("temperature",), BOTH,
+        "u_j += c_j T u_k, k the other axis",
+        ("thermal_bias", "thermal_damping_anisotropy", "thermal_pickoff_coupling"),
+    ),
+    Effect(
+        "thermal_pickoff_coupling", "Pick-offs that couple or rotate with the temperature", "environment", (14, 15, 29),
+        pair("c_x c_y", "1/K", 2e-4, 0.05, "what the axis reads of the other one, per kelvin"),
+        ("temperature",), BOTH,
+        "V_j += c_j T V_k, k the other axis",
+        ("thermal_drive_coupling", "thermal_damping_anisotropy", "thermal_split"),
+    ),
+    Effect(
         "thermal_drive_gain_curvature", "Drive gains that bend with the temperature, by axis", "environment", (29,),
         pair("g_x g_y", "1/K^2", 1e-5, 5e-3, "relative gain per kelvin squared"),
         ("temperature",), BOTH,
@@ -239,6 +253,20 @@ TIME = (
         ("time",), BOTH,
         "V_j += i g_j t V_j",
         ("drive_phase_drift", "split_drift"),
+    ),
+    Effect(
+        "drive_coupling_drift", "Drives that couple or rotate as time passes", "environment", (11, 12, 31),
+        pair("c_x c_y", "1/s", 5e-6, 0.01, "what acts on the axis of the other one's drive, per second"),
+        ("time",), BOTH,
+        "u_j += c_j t u_k, k the other axis",
+        ("bias_drift", "pickoff_coupling_drift", "cross_feedthrough_drift"),
+    ),
+    Effect(
+        "pickoff_coupling_drift", "Pick-offs that couple or rotate as time passes", "environment", (14, 15, 31),
+        pair("c_x c_y", "1/s", 5e-6, 0.01, "what the axis reads of the other one, per second"),
+        ("time",), BOTH,
+        "V_j += c_j t V_k, k the other axis",
+        ("drive_coupling_drift", "split_drift", "bias_drift"),
     ),
     Effect(
         "feedthrough_drift", "Feedthrough of an axis' own drive that drifts with time", "environment", (21, 31),

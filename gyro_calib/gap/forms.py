@@ -349,6 +349,8 @@ FORMS: dict[str, Form] = {
     "thermal_drive_gain": _scaled_drive("drive", "g", _warm, 1.0),
     "thermal_drive_phase": Form(turned_drive),
     "thermal_pickoff_gain": _read_by_axis("g", lambda s, v: _warm(s)[:, None] * v),
+    "thermal_drive_coupling": Form(lambda s, d, g: _by_axis("drive", "c", _warm(s)[:, None] * _swapped(s.drive))),
+    "thermal_pickoff_coupling": Form(lambda s, d, g: _of_each_reading("c", s, d, lambda v: _warm(s)[:, None] * _swapped(v))),
     "thermal_drive_gain_curvature": _scaled_drive("drive", "g", _warm_squared, 1.0),
     "thermal_pickoff_gain_curvature": _read_by_axis("g", lambda s, v: _warm_squared(s)[:, None] * v),
     "thermal_pickoff_phase": Form(turned_reading),
@@ -369,6 +371,10 @@ FORMS: dict[str, Form] = {
     "drive_phase_drift": drifting_gains(1j, of_drive=True),
     "pickoff_gain_drift": drifting_gains(1.0, of_drive=False),
     "pickoff_phase_drift": drifting_gains(1j, of_drive=False),
+    "drive_coupling_drift": Form(lambda s, d, g: _by_axis("drive", "c", drifted(s, g)[:, None] * _swapped(s.drive)), drift_settings),
+    "pickoff_coupling_drift": Form(
+        lambda s, d, g: _of_each_reading("c", s, d, lambda v: drifted(s, g)[:, None] * _swapped(v)), drift_settings
+    ),
     "feedthrough_drift": Form(lambda s, d, g: drifting_feedthrough(s, g, across=False), drift_settings),
     "cross_feedthrough_drift": Form(lambda s, d, g: drifting_feedthrough(s, g, across=True), drift_settings),
     "centrifugal_stiffness": Form(_centrifugal, lambda signals: [{"axes": 0.0}, {"axes": 1.0}], "centrifugal_stiffness_axes"),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..calibration import FactoryStore, with_factory_record
+from ..calibration.compensation_rounds import Leg
 from ..calibration.files import locked_directory, make_directory, replace_text
 from ..errors import ExperimentAborted, GyroCalibError
 from ..experiments import Instrument, Plan, compensation_in_force
@@ -24,6 +26,8 @@ __all__ = ["GapRun"]
 
 #: wait for another writer beside the records [s]
 _LOCK_TIMEOUT_S = 10.0
+#: how long a diagnosis takes beside the recordings, about; shares the run's progress out [s]
+_DIAGNOSIS_S = 60.0
 
 
 class GapRun(RecordingRun):
@@ -43,6 +47,7 @@ class GapRun(RecordingRun):
 
     def __init__(self, instrument: Instrument, plan: Plan, *, beside: Path, artifacts: Path | None = None) -> None:
         super().__init__(instrument, plan, artifacts)
+        self._leg = Leg(1, plan, 0.0, plan.duration_s + _DIAGNOSIS_S)
         self._beside = beside
 
     def __call__(self, run: RunHandle) -> Outcome:
@@ -50,7 +55,7 @@ class GapRun(RecordingRun):
         rest = replace(self._plan.final, compensation=compensation_in_force(self._instrument))
         campaign = self._record(run, rest)
         self._write(run, campaign)
-        diagnosis = _diagnosed(run, campaign)
+        diagnosis = _diagnosed(run, campaign, self._leg.fraction(1.0))
         run.commit()
         for sentence in self._plan.left_out:
             run.note(sentence)
@@ -76,13 +81,18 @@ class GapRun(RecordingRun):
         return written
 
 
-def _diagnosed(run: RunHandle, campaign: Campaign) -> Diagnosis:
+def _diagnosed(run: RunHandle, campaign: Campaign, recorded: float) -> Diagnosis:
+    """The diagnosis, which takes the run from the part ``recorded`` to its end."""
     from ..gap import diagnose  # takes a moment to load, and no other run needs it
+
+    started_s = time.monotonic()
 
     def told(fraction: float, what: str) -> None:
         if run.cancelled():
             raise ExperimentAborted("Run was cancelled during the diagnosis.")
-        run.estimating(f"diagnosing {len(campaign)} recordings, {fraction:.0%}: {what}")
+        eta_s = (time.monotonic() - started_s) * (1.0 - fraction) / fraction if fraction > 0.0 else _DIAGNOSIS_S
+        message = f"diagnosing {len(campaign)} recordings, {fraction:.0%}: {what}"
+        run.estimating(message, fraction=recorded + (1.0 - recorded) * fraction, eta_s=eta_s)
 
     told(0.0, "reading")
     factory = FactoryStore(None, campaign.device_id).load()

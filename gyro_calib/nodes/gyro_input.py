@@ -39,8 +39,12 @@ _GRACE_S = 2.0
 _RECHECK_S = 0.02
 #: parameters of a gyro's driver that say who it is, whether a record applies, and how far it can measure
 _FACTS = ("device_id", "mode", "compensation", "excitation.kind", "factory", "setpoint.amplitude_v")
+#: those that move the wave; whatever it does until it stands again is no rate
+_COMMANDS = frozenset({"mode", "excitation.kind", "setpoint.amplitude_v"})
 #: how often a driver that does not say who it is is asked
 _ASKS = 5
+#: how long after a command the loops may swing a rate beyond the range that nobody turned [s]
+_SETTLES_S = 5.0
 #: value of record_urls that asks for no file
 _NO_FILE = "none"
 
@@ -108,6 +112,7 @@ class GyroInput:
         self._next_estimate, self._jumps, self._received_seen = 2, 0, 0
         #: whether a rate beyond the range came between the last two ticks
         self.saturating, self._saturated_seen = False, 0
+        self._commanded_s = -math.inf
         self._last_arrival_s = math.nan
         self._publishers: frozenset[bytes] | None = None
         self._asks_left, self._pending = _ASKS, list[Any]()
@@ -179,7 +184,8 @@ class GyroInput:
 
     def tick(self) -> None:
         """See to what no message announces: the sample rate, other publishers, the identity of the gyro, the age of the record."""
-        self.saturating, self._saturated_seen = self.saturated > self._saturated_seen, self.saturated
+        settled = time.monotonic() - self._commanded_s > _SETTLES_S
+        self.saturating, self._saturated_seen = settled and self.saturated > self._saturated_seen, self.saturated
         if self.received != self._received_seen:
             self._received_seen, self._last_arrival_s = self.received, time.monotonic()
         self._use_measured_rate()
@@ -237,6 +243,8 @@ class GyroInput:
 
     def _parameter_event(self, message: Any) -> None:
         if message.node == self._gyro_name:
+            if not _COMMANDS.isdisjoint(p.name for p in message.changed_parameters):
+                self._commanded_s = time.monotonic()
             self._learn({p.name: parameter_value_to_python(p.value) for p in (*message.new_parameters, *message.changed_parameters)})
 
     def _learn(self, facts: dict[str, Any]) -> None:

@@ -112,9 +112,9 @@ class RunHandle:
         """Report what is found already; the run goes on."""
         self._manager._update(RunState.RUNNING, message=message, results=dict(results))
 
-    def estimating(self, message: str) -> None:
-        """Say that the recordings are complete and the estimate is being computed."""
-        self._manager._update(RunState.ESTIMATING, fraction=1.0, eta_s=0.0, message=message)
+    def estimating(self, message: str, *, fraction: float = 1.0, eta_s: float = 0.0) -> None:
+        """Say that the recordings are complete and the estimate is being computed; one that takes long says how far the run is."""
+        self._manager._update(RunState.ESTIMATING, fraction=min(max(fraction, 0.0), 1.0), eta_s=eta_s, message=message)
 
     def note(self, text: str) -> None:
         """Add a sentence to the message with which the run will end, however it ends."""

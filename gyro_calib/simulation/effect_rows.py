@@ -24,7 +24,8 @@ SLOW_EFFECTS = frozenset(
         "thermal_frequency_lag", "thermal_damping_lag", "thermal_damping_anisotropy_lag", "thermal_split_lag",
         "thermal_drive_gain_lag", "thermal_pickoff_gain_lag", "thermal_bias", "thermal_bias_lag", "bias_drift",
         "thermal_drive_gain", "thermal_drive_phase", "thermal_pickoff_gain", "thermal_pickoff_phase",
-        "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature",
+        "thermal_drive_gain_curvature", "thermal_pickoff_gain_curvature", "thermal_drive_coupling", "thermal_pickoff_coupling",
+        "drive_coupling_drift", "pickoff_coupling_drift",
         "frequency_ageing", "clock_drift", "damping_drift", "split_drift", "charge_accumulation", "drive_gain_drift", "drive_phase_drift",
         "pickoff_gain_drift", "pickoff_phase_drift", "centrifugal_stiffness", "centrifugal_stiffness_axes", "rate_dependent_damping",
         "angular_gain_error", "rate_nonlinearity", "rate_asymmetry", "base_sway",
@@ -40,8 +41,8 @@ class SlowTerms:
     ----------
     stiffness, damping : ndarray, shape (rows, 2, 2)
         Added to ``p' = (i stiffness - damping) p``: frequency and its split [rad/s], decay rate, its anisotropy and rotation [1/s].
-    drive, pick : ndarray, shape (rows, 2), complex
-        Factors of the drives and of the pick-offs.
+    drive, pick : ndarray, shape (rows, 2, 2), complex
+        What multiplies the drives and the pick-offs, a row's axis by a column's.
     feed : ndarray, shape (rows, 2, 2), complex
         Feedthrough that is added, to a row's axis of a column's drive.
     """
@@ -132,7 +133,9 @@ class SlowEffects:
         gain = gain + self._pair(f"thermal_{chain}_gain_curvature", "g_x", "g_y", rise**2)
         gain = gain + self._pair(late, "g_x", "g_y", self._behind(late, rise))
         phase = self._pair(f"thermal_{chain}_phase", "g_x", "g_y", rise) + self._pair(f"{chain}_phase_drift", "g_x", "g_y", t)
-        return np.asarray(gain * np.exp(1j * phase), dtype=np.complex128)
+        coupled = self._pair(f"thermal_{chain}_coupling", "c_x", "c_y", rise) + self._pair(f"{chain}_coupling_drift", "c_x", "c_y", t)
+        own = gain * np.exp(1j * phase)
+        return np.asarray(own[:, :, None] * np.eye(2) + coupled[:, :, None] * np.eye(2)[::-1], dtype=np.complex128)
 
     def _feed(self, t: FloatArray, rise: FloatArray) -> ComplexArray:
         own = self._pair("thermal_feedthrough", "e_x", "e_y", rise) + self._drifting_feed("feedthrough_drift", t)
@@ -166,8 +169,8 @@ def add_to_carrier(
     physics[:, 1] += added[:, 0, 1]
     physics[:, 2] += added[:, 1, 1]
     physics[:, 3:7] += 2.0 * terms.damping.reshape(-1, 4)
-    driven = drive.view(np.complex128).reshape(-1, 2, 2) * terms.drive[:, None, :]
-    picked = pick.view(np.complex128).reshape(-1, 2, 2) * terms.pick[:, :, None]
+    driven = drive.view(np.complex128).reshape(-1, 2, 2) @ terms.drive
+    picked = terms.pick @ pick.view(np.complex128).reshape(-1, 2, 2)
     return _flat(driven), _flat(picked)
 
 
@@ -184,8 +187,7 @@ def flow_with(terms: SlowTerms, A: ComplexArray, G: ComplexArray, pick: ComplexA
         P [V/m].
     """
     added = pick @ (1j * terms.stiffness - terms.damping) @ np.linalg.inv(pick)
-    drive, rows, columns = terms.drive[:, None, :], terms.pick[:, :, None], terms.pick[:, None, :]
-    return np.asarray(rows * (A + added) / columns), np.asarray(rows * G * drive)
+    return np.asarray(terms.pick @ (A + added) @ np.linalg.inv(terms.pick)), np.asarray(terms.pick @ G @ terms.drive)
 
 
 def kernel_rows(terms: SlowTerms, mode_omega_rad_s: FloatArray) -> FloatArray:
