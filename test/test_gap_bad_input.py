@@ -184,6 +184,17 @@ def test_one_recording_that_is_unlike_the_others_is_named(refusal, spoil, words,
     assert repr(label) in text
 
 
+@pytest.mark.parametrize("label", ["table_x", "table_y"])
+@pytest.mark.parametrize(
+    ("spoil", "words"), [(scaled(DRIVES, -1.0), "sign of the"), (swapped(DRIVES), "drive columns of x and y look swapped")]
+)
+def test_columns_of_one_turned_recording_are_told_from_its_log(refusal, spoil, words, label):
+    """Drives that only a table moves the other recordings tell nothing of: one device for all says that they are wrong."""
+    text = refusal(in_one(spoil, label))
+    assert words in text
+    assert repr(label) in text
+
+
 def test_one_recording_that_alone_tells_a_part_of_the_device_is_not_unlike(campaign):
     """x with but one side band: the others tell its loss over its drive alone, and y's equations fit it once the axes are swapped."""
     labels = ("static_x_0", "static_x_1", "locate", "static_y_0", "static_y_1", "side_y_a1_0.5hz", "side_y_a1_1.5hz")

@@ -109,6 +109,20 @@ def test_what_the_resonance_contradicts_is_named(name: str, change: Callable[[np
         check_one_device(changed(ODD, column(name, change)))
 
 
+def test_the_only_recording_that_is_warmed_tells_its_unit() -> None:
+    """By itself it says how the resonance goes with its column; it begins where the others are, whatever the column says."""
+    label = next(r.label for r in hemisphere() if r.label.startswith("vir"))
+
+    def warmed(r: Recording) -> Recording:
+        rise = np.linspace(0.0, 8.0, len(r))
+        return column("ref_freq", lambda f: f * (1.0 + 88e-6 * rise))(column("temperature", lambda k: k + rise)(r))
+
+    recordings = changed(label, warmed, hemisphere())
+    check_one_device(recordings)
+    with pytest.raises(DataError, match=rf"{label}.*degF"):
+        check_one_device([column("temperature", lambda k: 1.8 * k + 32.0)(r) if r.label == label else r for r in recordings])
+
+
 def test_a_thermometer_that_is_not_read_is_named() -> None:
     still = [column("temperature", lambda k: np.full_like(k, 25.0))(r) for r in ring()]
     resting = [r for r in still if not r.label.startswith("thermal")]
@@ -183,6 +197,53 @@ def test_small_columns_that_mean_something_else_are_told_by_the_change_that_leav
 
         with pytest.raises(DataError, match=rf"{ODD}.*{words}"):
             check_alike(changed(ODD, swapped), gain)
+
+
+@pytest.mark.parametrize(("factor", "words"), [(0.5, "half as large"), (math.sqrt(0.5), "rms volts"), (2.0, "twice as large")])
+@pytest.mark.parametrize("of", [ring, hemisphere])
+def test_drives_of_another_size_in_one_recording_are_told_by_how_much(of: Callable[[], Campaign], factor: float, words: str) -> None:
+    label = ODD if of is ring else next(r.label for r in of() if r.label.startswith("vir"))
+
+    def scaled(r: Recording) -> Recording:
+        for name in COLUMNS[5:9]:
+            r = column(name, lambda x: factor * x)(r)
+        return r
+
+    with pytest.raises(DataError, match=rf"{label}.*drive columns.*{words}"):
+        check_alike(changed(label, scaled, of()), of().factory["angular_gain_kappa"])
+
+
+def test_the_small_part_of_one_drive_has_a_sign() -> None:
+    """The drive of a wave that precesses is nearly in quadrature: what is in phase is a hundredth of it, and was believed either way."""
+    label = next(r.label for r in hemisphere() if r.label.startswith("vir"))
+    with pytest.raises(DataError, match=rf"{label}.*the c of the y drive columns"):
+        check_alike(changed(label, column("y_drive_c", np.negative), hemisphere()), hemisphere().factory["angular_gain_kappa"])
+
+
+@pytest.mark.parametrize("q", "cs")
+@pytest.mark.parametrize("axis", "xy")
+def test_one_part_of_a_drive_that_has_the_wrong_sign_in_all_recordings_is_named(axis: str, q: str) -> None:
+    """The gain of that drive is turned as well, which tells it from the other part and from the two swapped."""
+    all_wrong = [column(f"{axis}_drive_{q}", np.negative)(r) for r in hemisphere()]
+    with pytest.raises(DataError, match=f"one device.*the {q} of the {axis} drive columns look to have the wrong sign"):
+        check_alike(all_wrong, hemisphere().factory["angular_gain_kappa"])
+
+
+def test_a_warm_recording_has_signs_too_and_a_drive_that_another_damping_needs() -> None:
+    gain = ring().factory["angular_gain_kappa"]
+
+    def turned(r: Recording) -> Recording:
+        return column("y_drive_c", np.negative)(column("y_drive_s", np.negative)(r))
+
+    def damped(r: Recording) -> Recording:
+        """What a damping twice as large when warm would take, nearly."""
+        for name in COLUMNS[5:9]:
+            r = column(name, lambda x: 2.0 * x)(r)
+        return r
+
+    with pytest.raises(DataError, match=r"thermal_y_hot.*sign of the y drive columns"):
+        check_alike(changed("thermal_y_hot", turned), gain)
+    check_alike(changed("thermal_x_hot", damped), gain)
 
 
 def test_a_device_whose_columns_all_have_one_fault_is_told_which() -> None:

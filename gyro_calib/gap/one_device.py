@@ -76,6 +76,10 @@ def check_one_device(recordings: Sequence[Recording]) -> None:
     for r in recordings:
         if r.command.mode != "loops_off":
             kinds[_course(r).kind].append(_course(r))
+    if len(kinds["wave", None]) >= _FEWEST:
+        # one or two on an axis have no like but the waves, which may lie as far from them as from each other
+        for few in [kind for kind, courses in kinds.items() if len(courses) < _FEWEST]:
+            kinds["wave", None] += kinds.pop(few)
     alike = [courses for courses in kinds.values() if len(courses) >= _FEWEST]
     courses = [c for of_kind in alike for c in of_kind]
     if not courses:
@@ -184,6 +188,8 @@ def _check_alike(courses: Sequence[_Course], slope: float) -> None:
     strange |= (
         unmoved & (moved_k < WARMING_K) & (np.abs(kelvins - at_k) > _APART_K) & (np.abs(apart) > _TIMES_USUAL * np.median(np.abs(apart)))
     )
+    usual = float(np.median(np.abs(apart)))
+    strange |= np.array([_begins_unmoved(c, usual_hz, at_k, usual) for c in courses])
     if not np.any(strange):
         return
     worst = int(np.argmax(np.where(strange, np.abs(apart), 0.0)))
@@ -191,14 +197,27 @@ def _check_alike(courses: Sequence[_Course], slope: float) -> None:
     raise DataError(
         f"Recording {courses[worst].recording.label!r} must hold the device of the others, but its ref_freq is {hertz[worst]:.7g} Hz at "
         f"{kelvins[worst]:.4g} degC, where they have {usual_hz * (1.0 + slope * (kelvins[worst] - at_k)):.7g} Hz{others}: "
-        f"{_cause(float(hertz[worst]), float(kelvins[worst]), usual_hz, at_k, slope)}"
+        f"{_cause(courses[worst], usual_hz, at_k, slope)}"
     )
 
 
-def _cause(hertz: float, kelvins: float, usual_hz: float, at_k: float, slope: float) -> str:
+def _begins_unmoved(c: _Course, usual_hz: float, at_k: float, usual: float) -> bool:
+    """Whether a recording that is warmed begins with the resonance of the others, at a temperature far from theirs: in another unit."""
+    by_k = float(c.kelvins[0]) - at_k
+    if abs(by_k) < _FAR_K or np.ptp(c.kelvins) < _TOLD_K:
+        return False
+    expected = abs(_steepness(c.kelvins, c.hertz) * by_k)
+    return expected > max(c.allowed, _TIMES_USUAL * usual) and abs(float(c.hertz[0]) / usual_hz - 1.0) < _EXPLAINED * expected
+
+
+def _cause(c: _Course, usual_hz: float, at_k: float, slope: float) -> str:
     """What may be wrong, and what to do."""
+    hertz, kelvins = float(np.mean(c.hertz)), float(np.mean(c.kelvins))
     says_k = at_k + (hertz / usual_hz - 1.0) / slope if slope else at_k
-    if abs((kelvins - 32.0) / 1.8 - says_k) < _EXPLAINED * abs(kelvins - says_k):
+    fahrenheit = abs((kelvins - 32.0) / 1.8 - says_k) < _EXPLAINED * abs(kelvins - says_k)
+    # one that is warmed says by itself how the resonance goes, and begins where the others are
+    first = float(c.kelvins[0])
+    if fahrenheit or (np.ptp(c.kelvins) > WARMING_K and abs((first - 32.0) / 1.8 - at_k) < _EXPLAINED * abs(first - at_k)):
         return "its temperature looks like degF. Subtract 32 and divide by 1.8."
     if abs(hertz / usual_hz - 1.0) < _APART and abs(kelvins - at_k) > WARMING_K:
         return f"its temperature is wrong, for the resonance is that of {at_k:.4g} degC. Correct the column, or leave the recording out."
