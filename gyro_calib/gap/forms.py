@@ -7,7 +7,7 @@ linear in its parameters. What is not (a level, a time constant, a frequency) is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -42,8 +42,9 @@ _UNLIKE: dict[str, ComplexArray] = {
 _DAMPED, _CHARGED_S, _ACROSS = 0.3, 3.0, 0.3
 #: damping alike along all directions that a gradient makes: its column in a fit, and `thermal_damping_lag.c` [1/s/K] for one unit of that
 GRADIENT_DAMPS = (f"thermal_split_lag.{REST}_damped", -_DAMPED / UNEQUAL)
-#: of these what lets one axis see the other
-_CROSSED = ("mixed", "late")
+#: what lets one axis see the other; of that a turn leaves a force alone that is alike in all directions
+_TURN = {"turn": np.array([[0.0, -0.5], [0.5, 0.0]], dtype=np.complex128)}
+_CROSSED = {name: _UNLIKE[name] for name in ("mixed", "late")} | _TURN
 _STEP = 1e-4
 #: share of the wave below which an axis rests
 AT_REST = 3e-3
@@ -140,12 +141,11 @@ def _flow(parameter: str, f: Callable[[ComplexArray], ComplexArray], factor: com
 
 
 def _skewed(
-    p: ComplexArray, f: Callable[[ComplexArray], ComplexArray], factor: complex, names: Iterable[str] = tuple(_UNLIKE)
+    p: ComplexArray, f: Callable[[ComplexArray], ComplexArray], factor: complex, unlike: Mapping[str, ComplexArray] = _UNLIKE
 ) -> list[Part]:
     """How an effect of the motion looks in the volts of pick-offs P = 1 + e that are not alike: ``P f(P^-1 p) - f(p)``, per unit of e."""
     parts = []
-    for name in names:
-        e = _UNLIKE[name]
+    for name, e in unlike.items():
         turned = p @ e.T
         bent = (f(p + _STEP * turned) - f(p - _STEP * turned)) / (2.0 * _STEP)
         parts.append(Part(f"{SKEW}_{name}", "flow", factor * (f(p) @ e.T - bent)))
