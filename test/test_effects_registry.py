@@ -97,6 +97,8 @@ def test_effects_of_no_size_change_nothing(plain: Device) -> None:
         "parametric_pump",
         "pickoff_amplitude_phase",
         "thermal_drive_phase",
+        "thermal_drive_coupling",
+        "thermal_pickoff_coupling",
         "drive_delay",
         "pickoff_delay",
         "multiplexing_skew",

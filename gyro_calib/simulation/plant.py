@@ -233,8 +233,10 @@ class CarrierPlant(_Base):
         omega = r.omega0_rad_s * (1.0 + r.frequency_tempco_per_k * (temperature_degc - r.reference_temperature_degc))
         terms = self._slow.terms(rate_rad_s, temperature_degc)
         for name, source in self._flicker_of.items():
-            chain = _FLICKERS[name]
-            terms = replace(terms, **{chain: getattr(terms, chain) * source.rows(len(rate_rad_s))})
+            gains = source.rows(len(rate_rad_s))
+            # of a reading by the axis that is read, of a drive by the one that is asked for
+            by_axis = gains[:, :, None] if _FLICKERS[name] == "pick" else gains[:, None, :]
+            terms = replace(terms, **{_FLICKERS[name]: getattr(terms, _FLICKERS[name]) * by_axis})
         mode = 2.0 * math.pi * self.device.effects.get("spurious_mode", {}).get("separation_hz", 0.0)
         return *add_to_carrier(terms, physics, drive, pick, omega), kernel_rows(terms, omega + mode)
 
