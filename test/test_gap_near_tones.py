@@ -103,6 +103,25 @@ def test_what_goes_to_and_fro_is_none(channel: str) -> None:
     assert find_near_tone(swinging, LINEAR) is None
 
 
+def test_a_tone_that_one_channel_hears_best_is_told_from_what_goes_to_and_fro_in_it() -> None:
+    """A tone of 30 by its author's measure stood at both sides of a ring whose amplitude is ten times as quiet as the rest of it."""
+
+    def louder(flow: FlowLeft, rng: np.random.Generator) -> FlowLeft:
+        return replace(flow, rate={c: x if c == "amplitude" else x + 4e-5 * rng.standard_normal(x.size) for c, x in flow.rate.items()})
+
+    found = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        tone = find_near_tone([louder(flow, rng) for flow in flows(rng, still, 2.53, 2.5 * DRIVE_V)], LINEAR)
+        found += tone is not None and abs(tone.frequency_hz - CARRIER_HZ - 2.53) < 4.0 * tone.frequency_sd_hz
+        swinging = []
+        for k, flow in enumerate(flows(rng)):
+            more = 1e-5 * np.cos(2.0 * np.pi * 2.53 * ROW_S * np.arange(ROWS) + k)
+            swinging.append(louder(replace(flow, rate={**flow.rate, "amplitude": flow.rate["amplitude"] + more}), rng))
+        assert find_near_tone(swinging, LINEAR) is None
+    assert found >= 7
+
+
 def test_below_what_tells_a_floor_nothing_is_heard() -> None:
     """References 0.65 and 0.86 Hz beside a multiple of the rows' rate: images leave gaps in which no floor is known."""
     covered = [

@@ -54,6 +54,10 @@ class _Heard:
     score : ndarray, shape (2, frequencies), complex
         Information times c, and noise.
     information : ndarray, shape (2, 2, frequencies)
+    mirror : ndarray, shape (2, 2, frequencies), complex
+        What of the conjugate c is in the score at the other side of the carrier: what its channels do not hear alike.
+    alone : ndarray, shape (4, frequencies)
+        Power of each channel by itself, over that of noise: of noise alone an exponential variable of mean 1.
     noise : float
         The score's covariance over its information.
     there : ndarray of bool, shape (frequencies,)
@@ -62,16 +66,23 @@ class _Heard:
 
     score: ComplexArray
     information: FloatArray
+    mirror: ComplexArray
+    alone: FloatArray
     noise: float
     there: NDArray[np.bool_]
 
     def c(self) -> ComplexArray:
         """The likeliest c [1/s], shape (frequencies, 2)."""
-        return np.asarray(np.linalg.solve(self.information.transpose(2, 0, 1), self.score.T[:, :, None])[:, :, 0])
+        return _solved(self.information, np.asarray(self.score.T))
 
     def power(self) -> FloatArray:
         """Over that of noise: of noise alone a sum of two exponential variables of mean 1."""
         return np.asarray(np.sum(self.score.T.conj() * self.c(), axis=1).real / self.noise)
+
+    def mirrored(self) -> FloatArray:
+        """Power that c makes at the other side of the carrier, over that of noise."""
+        score = np.einsum("jkf,fk->fj", self.mirror, self.c().conj())
+        return np.asarray(np.einsum("fj,fj->f", score.conj(), _solved(self.information, score)).real / self.noise)
 
 
 def find_near_tone(flows: Sequence[FlowLeft], linear: Linear) -> Tone | None:
@@ -92,16 +103,34 @@ def find_near_tone(flows: Sequence[FlowLeft], linear: Linear) -> Tone | None:
     count = math.floor(HIGHEST_HZ / step)
     grid = np.asarray(step * np.arange(-count, count + 1), dtype=np.float64)
     heard = [_heard(flow, grid - (flow.carrier_hz - carrier_hz), floor) for flow, floor in floors]
-    mean, n = _mean_power(heard)
+    evidence, ratio, rise = _evidence(_mean_of([h.power() for h in heard], heard, 2.0), longest_s)
+    best = int(np.argmax(evidence))
+    about = slice(max(best - round(1.0 / _STEP_BINS), 0), best + round(1.0 / _STEP_BINS) + 1)
+    # where one of two channels is by far the quieter, a tone stands at both sides as well
+    own = _mean_of([h.mirrored() for h in heard], heard, 2.0)[0][best] / rise[best]
+    two_sided = float(ratio[::-1][about].max()) - 1.0 - float(own) > _ONE_SIDED * (float(ratio[best]) - 1.0)
+    # and what goes to and fro in one channel alone takes as much with half the unknowns
+    alone = max(
+        float(_evidence(_mean_of([h.alone[k] for h in heard], heard, 1.0), longest_s)[0][about].max()) for k in range(len(CHANNELS))
+    )
+    if two_sided or evidence[best] - max(alone, 0.0) <= _MARGIN:
+        return None
+    return _told([flow for flow, _ in floors], heard, best, carrier_hz + float(grid[best]), float(evidence[best]), linear)
+
+
+def _evidence(mean_of: tuple[FloatArray, FloatArray], longest_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Log evidence beyond the search, of a mean power and of how many variables it is; the mean over what it rises from, and that."""
+    mean, n = mean_of
     rise = _about(mean, round(1.0 / _STEP_BINS))
     ratio = np.where(n > 0, mean / rise, 0.0)
     # of a gamma variable of n the likeliest other scale
-    evidence = np.where(ratio > 1.0, n * (ratio - 1.0 - np.log(np.maximum(ratio, 1.0))), 0.0) - math.log(2.0 * HIGHEST_HZ * longest_s)
-    best = int(np.argmax(evidence))
-    mirrored = ratio[::-1][max(best - round(1.0 / _STEP_BINS), 0) : best + round(1.0 / _STEP_BINS) + 1]
-    if evidence[best] <= _MARGIN or float(mirrored.max()) - 1.0 > _ONE_SIDED * (float(ratio[best]) - 1.0):
-        return None
-    return _told([flow for flow, _ in floors], heard, best, carrier_hz + float(grid[best]), float(evidence[best]), linear)
+    beyond = np.where(ratio > 1.0, n * (ratio - 1.0 - np.log(np.maximum(ratio, 1.0))), 0.0)
+    return np.asarray(beyond - math.log(2.0 * HIGHEST_HZ * longest_s)), ratio, rise
+
+
+def _solved(information: FloatArray, score: ComplexArray) -> ComplexArray:
+    """Shape (frequencies, 2)."""
+    return np.asarray(np.linalg.solve(information.transpose(2, 0, 1), score[:, :, None])[:, :, 0])
 
 
 def _floors(flows: Sequence[FlowLeft]) -> list[tuple[FlowLeft, tuple[FloatArray, FloatArray]]]:
@@ -125,19 +154,23 @@ def _heard(flow: FlowLeft, away_hz: FloatArray, floor: tuple[FloatArray, FloatAr
     shapes = ((cos, sin), (-1j * cos, -1j * sin), (-sin, cos), (1j * sin, -1j * cos))
     places = np.rint(away_hz * _FINE * n * flow.row_s).astype(int)
     score, information = np.zeros((2, away_hz.size), dtype=np.complex128), np.zeros((2, 2, away_hz.size))
+    mirror = np.zeros((2, 2, away_hz.size), dtype=np.complex128)
+    alone, noise = [], 2.0 * float(np.sum(window**2) / window.sum()) / flow.row_s
     told = _there(flow, np.abs(away_hz))
     for channel, shape, of_channel in zip(CHANNELS, shapes, floor[1], strict=True):
         x = flow.rate[channel]
         left = window * (x - aside @ (aside.T @ (window * x)))
         weight = np.interp(np.abs(away_hz), floor[0], 1.0 / np.maximum(of_channel, 1e-300))
         told &= weight > 0.0
+        alone.append(2.0 * weight * np.abs(np.fft.fft(left, _FINE * n)[places]) ** 2 / (window.sum() * noise))
         for j in range(2):
             score[j] += weight * np.fft.fft(left * np.conj(shape[j]), _FINE * n)[places]
             for k in range(2):
                 information[j, k] += 0.5 * weight * float(np.sum(window * (shape[j] * np.conj(shape[k])).real))
+                mirror[j, k] += 0.5 * weight * complex(np.sum(window * np.conj(shape[j] * shape[k])))
     # a wave that never leaves an axis tells as little of the other one as of nothing
     information += (1e-9 * np.trace(information) + 1e-300) * np.eye(2)[:, :, None]
-    return _Heard(score, information, 2.0 * float(np.sum(window**2) / window.sum()) / flow.row_s, told)
+    return _Heard(score, information, mirror, np.array(alone), noise, told)
 
 
 def _there(flow: FlowLeft, distance_hz: FloatArray) -> NDArray[np.bool_]:
@@ -151,11 +184,14 @@ def _there(flow: FlowLeft, distance_hz: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(there)
 
 
-def _mean_power(heard: Sequence[_Heard]) -> tuple[FloatArray, FloatArray]:
-    """Mean of the records' power, the loudest of them left out, and how many exponential variables it is of: 0 where too few hear it."""
-    each = np.array([np.where(h.there, h.power(), 0.0) for h in heard])
+def _mean_of(powers: Sequence[FloatArray], heard: Sequence[_Heard], variables: float) -> tuple[FloatArray, FloatArray]:
+    """Mean of what the records say, so many exponential variables each, the loudest of them left out; and of how many variables it is.
+
+    Of none where too few hear it.
+    """
+    each = np.array([np.where(h.there, power, 0.0) for h, power in zip(heard, powers, strict=True)])
     records = np.sum([h.there for h in heard], axis=0)
-    n = np.where(records >= _FEWEST, 2.0 * (records - 1), 0.0)
+    n = np.where(records >= _FEWEST, variables * (records - 1), 0.0)
     return (each.sum(axis=0) - each.max(axis=0)) / np.maximum(n, 1.0), n
 
 
