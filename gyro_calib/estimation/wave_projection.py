@@ -116,11 +116,18 @@ def thin(signal: NDArray[Any], width: int) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class _Direction:
-    """One direction of the frame and its first two derivatives, shape (n, 2)."""
+    """One direction of the frame and its first two derivatives, shape (n, 2); complex in a frame that keeps the wave's phase."""
 
-    m: FloatArray
-    m1: FloatArray
-    m2: FloatArray
+    m: NDArray[Any]
+    m1: NDArray[Any]
+    m2: NDArray[Any]
+
+    def turned_back(self, phase_rad: FloatArray, row_s: float) -> _Direction:
+        """The same by a phase that moves: ``m exp(-i phase)``."""
+        back, pace = np.exp(-1j * phase_rad)[:, None], np.gradient(phase_rad, row_s)
+        first, second = pace[:, None], np.gradient(pace, row_s)[:, None]
+        m1 = self.m1 - 1j * first * self.m
+        return _Direction(back * self.m, back * m1, back * (self.m2 - 2j * first * self.m1 - (1j * second + first**2) * self.m))
 
 
 class Products:
@@ -140,6 +147,8 @@ class Products:
         Further signals, shape (n, k, 2) from (V, u, applied rate): projected as they are, or through L.
     drive_scale : ndarray, shape (n,), or None
         Factor of the drive at each row (drives at twice the frequency act in proportion to the motion).
+    in_phase : bool
+        Whether the frame keeps the wave's phase, as :func:`frame_directions` says.
     """
 
     def __init__(
@@ -152,6 +161,7 @@ class Products:
         plain: dict[str, Signal] | None = None,
         derived: dict[str, Signal] | None = None,
         drive_scale: FloatArray | None = None,
+        in_phase: bool = False,
     ) -> None:
         rate_hz = recording.sample_rate_hz
         self._width = thinning(recording)
@@ -175,7 +185,7 @@ class Products:
         self._t = thin(recording.t, self._width)
         slow, self._slow_hz = slow_waves(recording)
         self._parts: list[dict[str, list[ComplexArray]]] = []
-        directions, speed = frame_directions(recording)
+        directions, speed = frame_directions(recording, in_phase=in_phase)
         self._speed = thin(speed, self._width)
         #: how fast the azimuth moves, leaving out its few fastest rows [rad/s], and how far it moved [rad]
         self.speed_rad_s = float(np.quantile(np.abs(speed), 0.98))
@@ -264,7 +274,7 @@ class Products:
         columns = [self._orders(d, np.repeat(x[:, b : b + 1], 2, axis=1)) for b in range(2)]
         return [thin(np.stack([c[k] for c in columns], axis=2), self._width) for k in range(3)]
 
-    def _by_axis(self, m: FloatArray, x: ComplexArray) -> list[ComplexArray]:
+    def _by_axis(self, m: NDArray[Any], x: ComplexArray) -> list[ComplexArray]:
         """m_a x_b, shape (n', a, b)."""
         return [thin(m[:, :, None] * x[:, None, :], self._width)]
 
@@ -298,18 +308,28 @@ def in_wave_frame(recording: Recording) -> bool:
     return recording.command.mode != "loops_off"
 
 
-def frame_directions(recording: Recording) -> tuple[tuple[_Direction, _Direction], FloatArray]:
-    """Frame of a recording, along and across the wave, or x and y with loops off; and the speed of its azimuth [rad/s]."""
-    if in_wave_frame(recording):
-        rows = round(_SMOOTH_S * recording.sample_rate_hz)
-        psi = smooth_azimuth(wave_coordinates(recording).azimuth_rad, rows)
-    else:
-        psi = np.zeros(len(recording))
+def frame_directions(recording: Recording, *, in_phase: bool = False) -> tuple[tuple[_Direction, _Direction], FloatArray]:
+    """Frame of a recording, along and across the wave, or x and y with loops off; and the speed of its azimuth [rad/s].
+
+    Parameters
+    ----------
+    recording : Recording
+    in_phase : bool
+        Whether the frame keeps the wave's phase to its mean. While a temperature moves, the reference lags the resonance, and the phase by
+        which it does, of a milliradian, puts the wander of the resonance into the amplitude of a wave as large as its noise.
+    """
     row_s = 1.0 / recording.sample_rate_hz
+    phase = psi = np.zeros(len(recording))
+    if in_wave_frame(recording):
+        rows, wave = round(_SMOOTH_S * recording.sample_rate_hz), wave_coordinates(recording)
+        psi = smooth_azimuth(wave.azimuth_rad, rows)
+        phase = smooth_azimuth(wave.phase_rad, rows)
     speed = np.gradient(psi, row_s)[:, None]
     turn = np.gradient(speed[:, 0], row_s)[:, None]
     along = np.column_stack([np.cos(psi), np.sin(psi)])
     across = np.column_stack([-np.sin(psi), np.cos(psi)])
     along_wave = _Direction(along, speed * across, turn * across - speed**2 * along)
     across_wave = _Direction(across, -speed * along, -turn * along - speed**2 * across)
+    if in_phase:
+        along_wave, across_wave = (d.turned_back(phase - phase.mean(), row_s) for d in (along_wave, across_wave))
     return (along_wave, across_wave), speed[:, 0]

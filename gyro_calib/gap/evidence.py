@@ -271,6 +271,7 @@ def _evidence(
             "warm2": lambda V, u, rate: ((rise**2)[:, None] * V)[:, None, :],
         },
         derived={},
+        in_phase=signals.is_warming,
     )
     lines = lines_of(recording, products.speed_rad_s)
     phase = 1.0 + 0j

@@ -227,8 +227,13 @@ class Signals:
         return np.asarray(thin(applied_rate(self.recording)[0], self.width))
 
     @cached_property
+    def is_warming(self) -> bool:
+        """Whether the temperature moved."""
+        return bool(np.ptp(smooth_temperature(self.recording)) > WARMING_K)
+
+    @cached_property
     def _frame(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
-        directions, _ = frame_directions(self.recording)
+        directions, _ = frame_directions(self.recording, in_phase=self.is_warming)
         return tuple(
             (np.asarray(thin(d.m, self.width)), np.asarray(thin(d.m1, self.width)), np.asarray(thin(d.m2, self.width))) for d in directions
         )
@@ -277,7 +282,7 @@ class Projector:
         return np.asarray((2.0 * np.pi) ** 2 * row_s * (summed @ summed.T))
 
     @cached_property
-    def _plain(self) -> FloatArray:
+    def _plain(self) -> NDArray[Any]:
         """Operator of :meth:`plain`, shape (2 m, 2 n): a signal's rows one after the other, x and y beside each other."""
         s = self.signals
         return np.concatenate([s.row_s * (self.value[:, :, None] * m[None]).reshape(len(self.value), -1) for m, _, _ in s._frame])
@@ -321,6 +326,8 @@ class Projector:
 
     def plain(self, signals: Sequence[ComplexArray]) -> ComplexArray:
         """Projections of what is added to p'."""
+        if np.iscomplexobj(self._plain):
+            return np.asarray(self._plain @ _side_by_side(signals))
         return np.asarray((self._plain @ _side_by_side(signals).view(np.float64)).view(np.complex128))
 
     def through_flow(self, signals: Sequence[ComplexArray]) -> ComplexArray:
