@@ -104,7 +104,7 @@ def test_what_goes_to_and_fro_is_none(channel: str) -> None:
 
 
 def test_a_tone_that_one_channel_hears_best_is_told_from_what_goes_to_and_fro_in_it() -> None:
-    """A tone of 30 by its author's measure stood at both sides of a ring whose amplitude is ten times as quiet as the rest of it."""
+    """A tone of 30 by its author's measure stood at both sides of a ring whose amplitude is the quietest of its channels."""
 
     def louder(flow: FlowLeft, rng: np.random.Generator) -> FlowLeft:
         return replace(flow, rate={c: x if c == "amplitude" else x + 4e-5 * rng.standard_normal(x.size) for c, x in flow.rate.items()})
