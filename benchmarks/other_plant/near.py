@@ -36,11 +36,11 @@ FAMILIES = {
     ),
     "temperature": (
         "thermal_damping_anisotropy thermal_split thermal_frequency_curvature thermal_drive_gain thermal_drive_phase thermal_pickoff_phase "
-        "thermal_drive_gain_curvature thermal_pickoff_gain_curvature"
+        "thermal_drive_gain_curvature thermal_pickoff_gain_curvature thermal_drive_coupling thermal_pickoff_coupling"
     ),
     "time": (
         "frequency_ageing split_drift damping_drift charge_accumulation drive_gain_drift drive_phase_drift pickoff_gain_drift "
-        "pickoff_phase_drift"
+        "pickoff_phase_drift drive_coupling_drift pickoff_coupling_drift"
     ),
     "rate": "centrifugal_stiffness angular_gain_error rate_nonlinearity rate_asymmetry",
     # a foreign line beside the carrier leaves one complex amplitude on each axis, whether it came in as a force or as a voltage

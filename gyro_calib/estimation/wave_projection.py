@@ -309,27 +309,32 @@ def in_wave_frame(recording: Recording) -> bool:
 
 
 def frame_directions(recording: Recording, *, in_phase: bool = False) -> tuple[tuple[_Direction, _Direction], FloatArray]:
-    """Frame of a recording, along and across the wave, or x and y with loops off; and the speed of its azimuth [rad/s].
+    """Frame of a recording: along and across the wave, or x and y with loops off.
 
     Parameters
     ----------
     recording : Recording
     in_phase : bool
-        Whether the frame keeps the wave's phase to its mean. While a temperature moves, the reference lags the resonance, and the phase by
-        which it does, of a milliradian, puts the wander of the resonance into the amplitude of a wave as large as its noise.
+        Whether the frame of a wave keeps its phase to its mean. While a temperature moves, the reference lags the resonance, and the phase
+        by which it does, of a milliradian, puts the wander of the resonance into the amplitude of a wave as large as its noise.
+
+    Returns
+    -------
+    tuple of two directions
+        With their derivatives in time, shape (n, 2) each.
+    ndarray, shape (n,)
+        Speed of the azimuth psi [rad/s].
     """
-    row_s = 1.0 / recording.sample_rate_hz
-    phase = psi = np.zeros(len(recording))
-    if in_wave_frame(recording):
-        rows, wave = round(_SMOOTH_S * recording.sample_rate_hz), wave_coordinates(recording)
-        psi = smooth_azimuth(wave.azimuth_rad, rows)
-        phase = smooth_azimuth(wave.phase_rad, rows)
+    row_s, rows = 1.0 / recording.sample_rate_hz, round(_SMOOTH_S * recording.sample_rate_hz)
+    wave = wave_coordinates(recording) if in_wave_frame(recording) else None
+    psi = np.zeros(len(recording)) if wave is None else smooth_azimuth(wave.azimuth_rad, rows)
     speed = np.gradient(psi, row_s)[:, None]
     turn = np.gradient(speed[:, 0], row_s)[:, None]
     along = np.column_stack([np.cos(psi), np.sin(psi)])
     across = np.column_stack([-np.sin(psi), np.cos(psi)])
     along_wave = _Direction(along, speed * across, turn * across - speed**2 * along)
     across_wave = _Direction(across, -speed * along, -turn * along - speed**2 * across)
-    if in_phase:
+    if in_phase and wave is not None:
+        phase = smooth_azimuth(wave.phase_rad, rows)
         along_wave, across_wave = (d.turned_back(phase - phase.mean(), row_s) for d in (along_wave, across_wave))
     return (along_wave, across_wave), speed[:, 0]

@@ -139,10 +139,10 @@ def check_alike(recordings: Sequence[Recording], angular_gain: float) -> None:
     waves = [r for r in recordings if r.command.mode != "loops_off" and len(r) >= _FEWEST_ROWS]
     if sum(not is_turned(r) for r in waves) < _FEWEST:
         return
-    all_ = _Waves.of(waves, angular_gain)
-    found = [mended for place in range(len(waves)) for mended in all_.mended(place)]
+    side_by_side = _Waves.of(waves, angular_gain)
+    found = [mended for place in range(len(waves)) for mended in side_by_side.mended(place)]
     if not found:
-        all_.check_together()
+        side_by_side.check_together()
         return
     # one wrong recording spoils what is foretold of the others, too: the cause is what makes all of them those of one device, and of
     # changes that do so about as well the one after which least is missed, or the simplest of those that come near

@@ -179,16 +179,14 @@ def _check_alike(courses: Sequence[_Course], slope: float) -> None:
     at_k = float(np.median(kelvins))
     usual_hz = float(np.median(hertz / (1.0 + slope * (kelvins - at_k))))
     apart = hertz / (usual_hz * (1.0 + slope * (kelvins - at_k))) - 1.0
-    most = max(_TIMES_USUAL * float(np.median(np.abs(apart))), courses[0].allowed)
+    usual = float(np.median(np.abs(apart)))
+    most = max(_TIMES_USUAL * usual, courses[0].allowed)
     moved_k = np.array([np.ptp(c.kelvins) for c in courses])
     strange = np.abs(apart) > most + abs(slope) * (_APART_K + moved_k)
     # a temperature that the resonance knows nothing of
     expected = np.abs(slope * (kelvins - at_k))
     unmoved = (np.abs(apart - slope * (at_k - kelvins)) < _EXPLAINED * expected) & (expected > courses[0].allowed)
-    strange |= (
-        unmoved & (moved_k < WARMING_K) & (np.abs(kelvins - at_k) > _APART_K) & (np.abs(apart) > _TIMES_USUAL * np.median(np.abs(apart)))
-    )
-    usual = float(np.median(np.abs(apart)))
+    strange |= unmoved & (moved_k < WARMING_K) & (np.abs(kelvins - at_k) > _APART_K) & (np.abs(apart) > _TIMES_USUAL * usual)
     strange |= np.array([_begins_unmoved(c, usual_hz, at_k, usual) for c in courses])
     if not np.any(strange):
         return

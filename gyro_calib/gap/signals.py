@@ -228,11 +228,11 @@ class Signals:
 
     @cached_property
     def is_warming(self) -> bool:
-        """Whether the temperature moved."""
+        """Whether the recording's temperature moved, whatever these signals have in its place."""
         return bool(np.ptp(smooth_temperature(self.recording)) > WARMING_K)
 
     @cached_property
-    def _frame(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], ...]:
+    def _frame(self) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], ...]:
         directions, _ = frame_directions(self.recording, in_phase=self.is_warming)
         return tuple(
             (np.asarray(thin(d.m, self.width)), np.asarray(thin(d.m1, self.width)), np.asarray(thin(d.m2, self.width))) for d in directions
