@@ -19,6 +19,7 @@ from .forms import FORMS
 from .images import image_columns
 from .linear_device import ROW_MOMENT, collected, span_k
 from .parts import Linear, Part, read_at_once
+from .ripple import ripple_columns
 from .signals import SMOOTH_S
 
 __all__ = [
@@ -59,9 +60,6 @@ _LAG_S = 3e-5
 #: an envelope later than its record [s]: a sample of the converters, that firmware, filters and holds count or do not; of 31 healthy
 #: devices of two plants none lagged by 3e-6, and every ring of another led by one of its samples, 8.3e-6
 _LATE_S = 1e-5
-#: clock of the rows over that of the reference, of two crystals; and what a loop's command ripples with at twice the reference while the
-#: wave grows, which its rows do not hold and the drive does: of four rings of a plant 4e-6 to 7e-5 of the rate of change, at any phase
-_CLOCK = 3e-5
 #: how equal drives are that shift the reference and that turn an envelope, gain and phase [rad]
 _OF_STIFFNESS = 1e-5
 #: drift of the resonance over a campaign in units of its wander; constant volts that reach a drive besides the command [V]
@@ -149,16 +147,6 @@ def _in_stiffness_control(evidence: CampaignEvidence, linear: Linear) -> list[Co
     return [replace(c, prior_sd=_OF_STIFFNESS) for c in found if any(np.any(v) for v in c.signal)]
 
 
-def _clock_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
-    """A share of how fast the motion changes: rows whose second is not that of the reference, and commands that ripple within a row."""
-    by_recording = []
-    for r in evidence:
-        s = r.signals
-        speed = np.gradient(s.pick - s.drive @ linear.E.T, s.row_s, axis=0)
-        by_recording.append([Part("clock", "flow", speed), Part("ripple", "flow", 1j * speed)])
-    return [replace(c, prior_sd=_CLOCK) for c in part_columns(evidence, by_recording, linear)]
-
-
 def _damping(evidence: CampaignEvidence, linear: Linear) -> float:
     """Damping [1/s], as the fit says; a pump that undoes it is in A, and what follows the temperature is of what it undoes."""
     return max(abs(np.trace(linear.A).real) / 2.0, _LEAST_DAMPING * evidence.decay_rate)
@@ -168,7 +156,7 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """How a healthy device follows its temperature, and a record that is late."""
     columns: list[Column] = []
     columns += _form(evidence, linear, "drive_lag", {"tau": _LATE_S})
-    columns += _clock_columns(evidence, linear)
+    columns += ripple_columns(evidence, linear)
     columns += _blurred_records(evidence, linear)
     columns += _kicks(evidence, linear)
     columns += _in_stiffness_control(evidence, linear)
