@@ -209,3 +209,29 @@ def test_what_swings_on_one_axis_is_told_by_waves_of_all_azimuths(channel: str, 
 def test_noise_in_waves_of_all_azimuths_goes_nowhere(turns_hz: float) -> None:
     for seed in range(8):
         assert find_steady_swing(turned(flows(np.random.default_rng(seed)), turns_hz)) is None
+
+
+def on_two_axes(of: list[FlowLeft], louder: float) -> list[FlowLeft]:
+    """Waves along x and along y in turn, those along x with a louder floor."""
+    of_axis = [(k % 2, flow) for k, flow in enumerate(of)]
+    along = [(y, replace(flow, azimuth_rad=np.full(ROWS, 0.5 * np.pi * y), kind=(f"ftr_{'xy'[y]}", 0.0, False))) for y, flow in of_axis]
+    return [replace(flow, rate={c: x if y else louder * x for c, x in flow.rate.items()}) for y, flow in along]
+
+
+def test_a_gain_that_ripples_on_one_axis_is_told_by_the_waves_along_it() -> None:
+    """Half of a ring's waves lie on the other axis, which is quieter and holds nothing: neither alike nor of opposite sign is it there."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        starts_s = np.concatenate([STARTS_S, STARTS_S + 240.0])
+        waves = on_two_axes(quiet_flows(rng, starts_s.tolist(), ROWS), 2.5)
+        assert find_steady_swing(waves) is None
+        rippling = []
+        for flow in waves:
+            t = flow.start_s + ROW_S * np.arange(ROWS)
+            more = 2.5e-5 * np.cos(flow.azimuth_rad) ** 2 * np.cos(2.0 * np.pi * 0.85 * t + 0.4)
+            rippling.append(replace(flow, rate={**flow.rate, "amplitude": flow.rate["amplitude"] + more}))
+        found = find_steady_swing(rippling)
+        assert found is not None
+        assert (found.channel, found.shape, found.records) == ("amplitude", "cos^2 psi", COUNT)
+        assert abs(found.size - 2.5e-5) < 4.0 * found.size_sd
+        assert "gain or loss of the axes that goes to and fro every 1.18 s, in waves of azimuth psi as cos^2 psi" in found.unknown().form

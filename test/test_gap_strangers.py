@@ -21,8 +21,8 @@ from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.parts import SKEW, Part
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate
-from gyro_calib.gap.select import Selection, select_effects
-from gyro_calib.gap.strangers import MARGIN, bank_terms, unnamed_counts, worth_of
+from gyro_calib.gap.select import Selection, _best_refined, select_effects
+from gyro_calib.gap.strangers import MARGIN, bank_terms, cancel, unnamed_counts, worth_of
 from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
@@ -236,3 +236,41 @@ def test_nearest_is_what_shows_the_same_not_what_explains_most() -> None:
     unnamed = next(c for a, c in loud.bank if (a.location, a.phase, a.form) == ("drive", "in phase", "t x, other on each axis"))
     assert max(loud.screener.screened(c for tried in loud.candidates.values() for c in tried), key=lambda s: s.gain).name == "duffing"
     assert nearest_known(loud, unnamed) == "drive_gain_drift"
+
+
+def test_two_effects_that_leave_a_fiftieth_of_each_other_are_one_thing() -> None:
+    """Late gains of drives and of pick-offs, of 2.9e-3/K and -2.9e-3/K, were a damping that lags."""
+    model = table_model()
+    drive = model.screener.screen(model.candidates["drive_nonlinearity"][0])
+    assert drive is not None
+    drive = replace(drive, values=np.full_like(drive.values, 3e-3))
+    # but for how fast they change both are one
+    pickoff = replace(drive, candidate=replace(drive.candidate, name="pickoff_nonlinearity"), values=0.98 * drive.values)
+    assert not cancel(model, [drive, pickoff])
+    against = replace(pickoff, values=-pickoff.values)
+    assert cancel(model, [drive, against])
+    assert not cancel(model, [drive, replace(against, values=0.9 * against.values)])
+    assert not cancel(model, [drive])
+
+
+@pytest.mark.slow
+def test_a_stiffness_by_the_drives_square_half_a_sample_late_has_its_name() -> None:
+    """Where its mean over a cycle took more at first, what was left was a damping, a gap and unnamed (twenty-fifth plant)."""
+    unit, rng = draw_trial_unit("hemisphere", 79, 1), np.random.default_rng(1)
+    model = looked_at(record_unit(unit, campaign_plan("hemisphere", unit.device.factory(), rng, "quick"), {}, rng))
+    k, late_rad = -1.3e-6, 0.71
+    by_recording = []
+    for r in model.evidence:
+        u = r.signals.drive
+        p = r.signals.pick - u @ model.linear.E.T
+        by_recording.append([Part("k", "flow", 1j * (2.0 * np.abs(u) ** 2 * p + np.exp(1j * late_rad) * u**2 * p.conj()))])
+    (column,) = part_columns(model.evidence, by_recording, model.linear)
+    strange = with_columns(model, [(column, k)])
+    mean = next(c for c in strange.candidates["drive_stiffness"] if c.setting["axes"] == 1.0)
+    found = strange.screener.screen(mean)
+    assert found is not None
+    assert _best_refined(strange, [], [found]).setting == {"axes": 0.0}
+    selection = select_effects(strange)
+    assert [(e.name, e.candidate.setting) for e in selection.effects] == [("drive_stiffness", {"axes": 0.0})]
+    assert selection.stranger is None
+    assert selection.chi2_after < 1.1 * selection.dof < 0.9 * selection.chi2_before

@@ -258,7 +258,7 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
 
     And one that counts may be better by what pick-offs that are not alike make of it: where a resonance wanders, a Duffing of a
     hemisphere shows more by their phases than by the frequency, and relaxation was named. A cube of each axis by itself, as large
-    on both, is one of their sum but for that.
+    on both, is one of their sum but for that; a stiffness by the drives' square is one by its mean but for half a sample of phase.
     """
     screener = model.screener_with(chosen)
     near = [s for s in ranked if s.log_evidence > _NEAR * ranked[0].log_evidence][:_CONTENDERS]
@@ -266,15 +266,15 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     found = screener.screened(refined)
     tried = {s.name for s in near}
     counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s.name not in tried] + found
-    counting += [v for f in counting for v in _by_axis(model, screener, f)]
+    counting += [v for f in counting for v in _otherwise(model, screener, f)]
     unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
     return max(found + unlike, key=lambda s: s.log_evidence).candidate
 
 
-def _by_axis(model: CampaignModel, screener: Screener, found: Screened) -> list[Screened]:
-    """The effect by axis, if it was found of both together and there is such a one."""
-    together = found.candidate.setting.get("axes") == 0.0
-    return screener.screened(c for c in model.candidates[found.name] if together and c.setting["axes"])
+def _otherwise(model: CampaignModel, screener: Screener, found: Screened) -> list[Screened]:
+    """The effect of both axes together, by axis or by its mean over a cycle, if it was found as another of these."""
+    axes = found.candidate.setting.get("axes")
+    return screener.screened(c for c in model.candidates[found.name] if axes is not None and c.setting["axes"] != axes)
 
 
 def _with_unlike_pickoffs(model: CampaignModel, screener: Screener, found: Screened) -> Screened | None:

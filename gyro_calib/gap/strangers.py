@@ -29,6 +29,7 @@ __all__ = [
     "SECOND_ORDER",
     "Stranger",
     "bank_terms",
+    "cancel",
     "one_change_of_another_kind",
     "own_directions",
     "stranger",
@@ -81,6 +82,8 @@ CHANGES = (
         "thermal_pickoff_gain_lag",
     },
 )
+#: what two effects leave of each other over the smaller, below which they are one thing
+_REST = 0.05
 #: what is one where both are there: a late damping is late along its axes as well
 _ONE_OF = {"thermal_damping_anisotropy_lag": "thermal_damping_lag"}
 #: where the first of these stand
@@ -127,7 +130,7 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
         if chosen:
             alone = _said_of_their_kind(model, effects)
             named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, effects, first))
-            if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects)):
+            if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects) or cancel(model, effects)):
                 return _stranger(model, alone)
         if significant > LEFT_SIGMA and share > LEFT_SHARE:
             return _stranger(model, rest)
@@ -199,6 +202,17 @@ def one_change_of_another_kind(effects: Sequence[Screened]) -> bool:
     if len(gains) >= _TOO_MANY and min(gains) > _OF_THREE * sum(gains):
         return True
     return any(len(names & changes) >= _TOO_MANY for changes in CHANGES)
+
+
+def cancel(model: CampaignModel, effects: Sequence[Screened]) -> bool:
+    """Whether two effects are each other's negative but for a small rest: no device has both of just that size, and the rest is a third.
+
+    A damping that lags behind the temperature was a gain of the drives that does, of 2.9e-3/K, and one of the pick-offs of -2.9e-3/K: of
+    both remains how fast they change, a fiftieth.
+    """
+    made = [model.screener.projected(e.candidate.columns)[0] @ e.values for e in effects]
+    sizes = [float(np.linalg.norm(m)) for m in made]
+    return any(float(np.linalg.norm(made[i] + made[j])) < _REST * min(sizes[i], sizes[j]) for i in range(len(made)) for j in range(i))
 
 
 def _seen_at_rest(model: CampaignModel, chosen: Sequence[Candidate], found: Screened, term: Anonymous) -> bool:
