@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..quantity import Quantity
 from ..recording.applied_rate import is_turned
 from ..recording.recording import Recording
-from .wave import smooth_azimuth, wave_coordinates
+from .wave import smooth_angle, wave_coordinates
 
 __all__ = ["loop_latency"]
 
@@ -72,7 +72,7 @@ def _parts(recording: Recording) -> list[_Part]:
     if np.ptp(wave.azimuth_rad) < _LEAST_TURN_RAD:
         return []
     width, volts = round(_SMOOTH_S * recording.sample_rate_hz), recording.command.setpoints.virtual_precession_v
-    psi = smooth_azimuth(wave.azimuth_rad, width)
+    psi = smooth_angle(wave.azimuth_rad, width)
     speed = np.gradient(psi, 1.0 / recording.sample_rate_hz)
     design = np.column_stack([-speed * wave.drive_along.imag, volts * speed**2])
     across = wave.drive_across.imag - volts

@@ -36,7 +36,7 @@ from ..errors import CalibrationRefused
 from ..quantity import Quantity
 from ..recording.recording import Recording
 from .drive_chain import DriveChain
-from .wave import smooth_azimuth, wave_coordinates
+from .wave import smooth_angle, wave_coordinates
 
 __all__ = [
     "AzimuthFit",
@@ -99,7 +99,7 @@ def azimuth_fit(recording: Recording) -> AzimuthFit:
             f"{math.degrees(0.5 * float(np.ptp(wave.azimuth_rad))):.3g} deg. Record longer, or with more virtual precession."
         )
     row_s = 1.0 / recording.sample_rate_hz
-    angle = 2.0 * smooth_azimuth(wave.azimuth_rad, round(_SMOOTH_S * recording.sample_rate_hz))[rows]
+    angle = 2.0 * smooth_angle(wave.azimuth_rad, round(_SMOOTH_S * recording.sample_rate_hz))[rows]
     basis = _harmonics(angle, 2)
     # drives turn a wave by volts over amplitude, and that follows 4 theta as far as its loop is slow (5e-5 at 8 deg/s)
     amplitude = wave.amplitude_v[rows]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import DataError
 from ..recording.recording import Recording
 
-__all__ = ["Wave", "smooth_azimuth", "wave_coordinates"]
+__all__ = ["Wave", "smooth_angle", "wave_coordinates"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -93,12 +93,12 @@ def wave_coordinates(recording: Recording, *, commanded: bool = False) -> Wave:
     )
 
 
-def smooth_azimuth(azimuth_rad: FloatArray, rows: int) -> FloatArray:
-    """Azimuth without its noise above about one over ``rows`` rows: three running means about a straight line, ends mirrored."""
-    index = np.arange(azimuth_rad.size, dtype=np.float64)
-    line = np.polyval(np.polyfit(index, azimuth_rad, 1), index) if azimuth_rad.size > 1 else azimuth_rad
-    rest = azimuth_rad - line
-    half = max(0, min(rows // 2, (azimuth_rad.size - 1) // 2))
+def smooth_angle(angle_rad: FloatArray, rows: int) -> FloatArray:
+    """An angle without its noise above about one over ``rows`` rows: three running means about a straight line, ends mirrored."""
+    index = np.arange(angle_rad.size, dtype=np.float64)
+    line = np.polyval(np.polyfit(index, angle_rad, 1), index) if angle_rad.size > 1 else angle_rad
+    rest = angle_rad - line
+    half = max(0, min(rows // 2, (angle_rad.size - 1) // 2))
     for _ in range(3 if half else 0):
         padded = np.concatenate([[0.0], np.cumsum(np.pad(rest, half, mode="reflect"))])
         rest = (padded[2 * half + 1 :] - padded[: -2 * half - 1]) / (2 * half + 1)

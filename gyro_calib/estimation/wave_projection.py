@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..recording.applied_rate import applied_rate
 from ..recording.recording import Recording
 from .projection import hold_delay, hold_factor, moving_reference, test_functions
-from .wave import smooth_azimuth, wave_coordinates
+from .wave import smooth_angle, wave_coordinates
 
 __all__ = [
     *("CHANNELS", "Products", "WaveProjected", "frame_directions", "in_wave_frame", "slow_waves", "spectral_derivatives"),
@@ -327,7 +327,7 @@ def frame_directions(recording: Recording, *, in_phase: bool = False) -> tuple[t
     """
     row_s, rows = 1.0 / recording.sample_rate_hz, round(_SMOOTH_S * recording.sample_rate_hz)
     wave = wave_coordinates(recording) if in_wave_frame(recording) else None
-    psi = np.zeros(len(recording)) if wave is None else smooth_azimuth(wave.azimuth_rad, rows)
+    psi = np.zeros(len(recording)) if wave is None else smooth_angle(wave.azimuth_rad, rows)
     speed = np.gradient(psi, row_s)[:, None]
     turn = np.gradient(speed[:, 0], row_s)[:, None]
     along = np.column_stack([np.cos(psi), np.sin(psi)])
@@ -335,6 +335,6 @@ def frame_directions(recording: Recording, *, in_phase: bool = False) -> tuple[t
     along_wave = _Direction(along, speed * across, turn * across - speed**2 * along)
     across_wave = _Direction(across, -speed * along, -turn * along - speed**2 * across)
     if in_phase and wave is not None:
-        phase = smooth_azimuth(wave.phase_rad, rows)
+        phase = smooth_angle(wave.phase_rad, rows)
         along_wave, across_wave = (d.turned_back(phase - phase.mean(), row_s) for d in (along_wave, across_wave))
     return (along_wave, across_wave), speed[:, 0]

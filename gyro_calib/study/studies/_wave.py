@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...device import Device
 from ...errors import DataError
 from ...estimation.drive_chain import DriveChain, drive_chain_of
-from ...estimation.wave import smooth_azimuth
+from ...estimation.wave import smooth_angle
 from ...estimation.whole_angle_fit import WholeAngleEstimate, fit_whole_angle, usable_wave_recordings
 from ...experiments import Plan, SimulatedInstrument, Step, run_plan
 from ...experiments.whole_angle_plans import nominal_gain
@@ -124,7 +124,7 @@ def binned_precession(recording: Recording, bins: int) -> tuple[FloatArray, Floa
     DataError
         The wave turned by less than a bin more than a period.
     """
-    psi = smooth_azimuth(2.0 * wave_azimuth(recording.data), round(_SMOOTH_S * recording.sample_rate_hz))
+    psi = smooth_angle(2.0 * wave_azimuth(recording.data), round(_SMOOTH_S * recording.sample_rate_hz))
     step = math.pi / bins
     sense = 1.0 if psi[-1] > psi[0] else -1.0
     first = math.ceil(sense * psi[0] / step)
