@@ -48,6 +48,14 @@ def hemisphere() -> Campaign:
     return run_plan(SimulatedInstrument(GyroSimulator(unit, rng=np.random.default_rng(3), fidelity="slow_flow"), 1e-4), plan)
 
 
+@cache
+def warmed_hemisphere() -> Campaign:
+    """All that a hemisphere's plan holds, with a chamber."""
+    unit = draw_unit(load_device("hrg_hardware"), 3)
+    plan = gap_whole_angle_plan(unit.factory(), quality="quick", abilities=("temperature",))
+    return run_plan(SimulatedInstrument(GyroSimulator(unit, rng=np.random.default_rng(3), fidelity="slow_flow"), 1e-4), plan)
+
+
 def changed(label: str, change: Callable[[Recording], Recording], of: Campaign | None = None) -> list[Recording]:
     recordings = [change(r) if r.label == label else r for r in of or ring()]
     assert any(r.label == label for r in recordings)
@@ -227,6 +235,15 @@ def test_one_part_of_a_drive_that_has_the_wrong_sign_in_all_recordings_is_named(
     all_wrong = [column(f"{axis}_drive_{q}", np.negative)(r) for r in hemisphere()]
     with pytest.raises(DataError, match=f"one device.*the {q} of the {axis} drive columns look to have the wrong sign"):
         check_alike(all_wrong, hemisphere().factory["angular_gain_kappa"])
+
+
+@pytest.mark.parametrize("axis", "xy")
+def test_a_conjugate_pick_off_meets_the_same_reference(axis: str) -> None:
+    """In volts it is next to nothing; but the reference stands off the resonance while that moves, and one axis turned the other way."""
+    all_wrong = [column(f"{axis}_pick_s", np.negative)(r) for r in warmed_hemisphere()]
+    with pytest.raises(DataError, match=f"one device.*the s of the {axis} pick-off columns look to have the wrong sign"):
+        check_alike(all_wrong, warmed_hemisphere().factory["angular_gain_kappa"])
+    check_alike(list(warmed_hemisphere()), warmed_hemisphere().factory["angular_gain_kappa"])
 
 
 def test_a_warm_recording_has_signs_too_and_a_drive_that_another_damping_needs() -> None:
