@@ -44,7 +44,7 @@ _WARMED_K = 2.0
 #: changes whose one device misses no more than so many times the least are as good as each other; and which of them may be the simplest
 _AS_GOOD, _NEARLY = 1.5, 1.1
 #: log of the ratio of what is missed, by row, from which on a change of all recordings is what they need: of real effects it was 0.013 at
-#: most, of one axis's conjugate pick-offs of four hemispheres 0.06 to 0.47, of a small part of drives 2.5; share of the most that comes near
+#: most, of one axis's conjugate pick-offs of four hemispheres 0.06 to 0.47, of a small part of drives 2.5; share of the most that is near
 _ALL_BETTER, _NEARLY_ALL = 0.04, 0.98
 #: pull of what nothing tells towards zero, over the equations of one recording
 _RIDGE = 1e-6
