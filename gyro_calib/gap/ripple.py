@@ -44,16 +44,19 @@ def ripple_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         Real sizes, of the motion's rate of change: of all of it, and in two phases of that along and across the wave, alike at every
         azimuth psi and as cos 2psi; across also as sin 2psi, cos 4psi and sin 4psi.
     """
+    lobes = {f"across_{order}{part}" for order in range(1, len(_FED_BACK) + 1) for part in "cs"}
     by_recording = []
     for r in evidence:
         motion = r.signals.pick - r.signals.drive @ linear.E.T
         speed = np.gradient(motion, r.signals.row_s, axis=0)
         # where loops are off nothing answers
         shapes = answers(motion, float(r.is_wave) * speed)
-        parts = [Part(f"ripple_{k}_{n}", "flow", q * v) for k, v in shapes.items() for n, q in (("re", 1.0), ("im", 1j))]
+        # of a wave that stands, the lobes across it are noise
+        heard = {k: v if r.is_turning or k not in lobes else 0.0 * v for k, v in shapes.items()}
+        parts = [Part(f"ripple_{k}_{n}", "flow", q * v) for k, v in heard.items() for n, q in (("re", 1.0), ("im", 1j))]
         by_recording.append([Part("clock", "flow", speed), *parts])
     sizes = {f"_{order}{part}_": sd for order, sd in enumerate(_FED_BACK, 1) for part in "cs"}
-    found = part_columns(evidence, by_recording, linear)
+    found = [c for c in part_columns(evidence, by_recording, linear) if any(np.any(v) for v in c.signal)]
     return [replace(c, prior_sd=next((sd for k, sd in sizes.items() if k in c.name), _ANSWERED)) for c in found]
 
 
