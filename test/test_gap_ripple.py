@@ -3,8 +3,11 @@
 import cmath
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyro_calib.gap.ripple import answers
+
+FloatArray, ComplexArray = NDArray[np.float64], NDArray[np.complex128]
 
 #: carrier and its samples [Hz], decay [1/s], drive [1/s], precession [rad/s], the follower's and the quadrature loop's bandwidth [rad/s]
 _F0_HZ, _RATE_HZ, _DECAY, _G, _SPEED, _FOLLOWS, _LOOP = 500.3, 8000, 0.07, 0.1, 0.4, 600.0, 60.0
@@ -14,7 +17,7 @@ _HELD, _ROW = 5, 160
 _FED = 5e-4j * np.array([np.zeros((2, 2)), np.diag([1.0, -1.0]), [[0.0, 1.0], [1.0, 0.0]]])
 
 
-def _commands(followed, integral):
+def _commands(followed: ComplexArray, integral: FloatArray) -> ComplexArray:
     """Drives that hold amplitude and quadrature and turn the wave, from the phasors of this moment, shape (cases, 2)."""
     x, y = followed.T
     psi = 0.5 * np.arctan2(2.0 * (x.conj() * y).real, np.abs(x) ** 2 - np.abs(y) ** 2)
@@ -27,7 +30,7 @@ def _commands(followed, integral):
     return 1j * (along[:, None] * wave + _SPEED / _G * across) + (_LOOP / _G * quadrature + integral)[:, None] * across
 
 
-def _rows(feedthrough, seconds=10.0):
+def _rows(feedthrough: ComplexArray, seconds: float = 10.0) -> ComplexArray:
     """Pick-offs and drives of waves that precess, as they are recorded, each of shape (rows, cases, 2)."""
     decays = cmath.exp((2j * np.pi * _F0_HZ - _DECAY) / _RATE_HZ)
     # two oscillators as complex numbers whose real part is read and whose imaginary part is the velocity, which forces move
@@ -49,7 +52,7 @@ def _rows(feedthrough, seconds=10.0):
     return np.moveaxis(np.array(rows), 1, 0)
 
 
-def test_what_feeds_through_makes_an_answer_that_goes_with_the_azimuth():
+def test_what_feeds_through_makes_an_answer_that_goes_with_the_azimuth() -> None:
     row_s = _ROW / _RATE_HZ
     within = slice(int(1.5 / row_s), -int(0.3 / row_s))
     sizes = []

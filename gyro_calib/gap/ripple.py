@@ -4,7 +4,7 @@ A phasor that is followed from sample to sample swings at twice the reference by
 that read it now and then drive with that, turned by the phase of the moment, and the part of it that falls on the carrier is a force in
 proportion to how fast the wave changes. The loops of amplitude and of quadrature have gains of their own, so it is one share of the change
 along a wave and another of that across it, at any phase. What feeds through from a drive is read by its own loop as well, gain and all: of
-a gain of 1100 V/V and a feedthrough of 2e-4 a fifth of the answer, which goes with the azimuth as the feedthrough of the direction across
+a gain of 1100 V/V and a feedthrough of 3e-4 a fifth of the answer, which goes with the azimuth as the feedthrough of the direction across
 the wave does. Of a hemisphere of another plant 24e-6 and 51e-6 of the rate of precession, and 4e-6 and 8e-6 of it as ``cos 2 psi``; without
 a feedthrough these are none, without a split or an anisotropy of damping they stay. It was *unknown*, a reading as ``x cos 4theta``.
 """
@@ -44,7 +44,6 @@ def ripple_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         Real sizes, of the motion's rate of change: of all of it, and in two phases of that along and across the wave, alike at every
         azimuth psi and as cos 2psi; across also as sin 2psi, cos 4psi and sin 4psi.
     """
-    lobes = {f"across_{order}{part}" for order in range(1, len(_FED_BACK) + 1) for part in "cs"}
     by_recording = []
     for r in evidence:
         motion = r.signals.pick - r.signals.drive @ linear.E.T
@@ -52,7 +51,7 @@ def ripple_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
         # where loops are off nothing answers
         shapes = answers(motion, float(r.is_wave) * speed)
         # of a wave that stands, the lobes across it are noise
-        heard = {k: v if r.is_turning or k not in lobes else 0.0 * v for k, v in shapes.items()}
+        heard = {k: v if r.is_turning or not k.startswith("across_") else 0.0 * v for k, v in shapes.items()}
         parts = [Part(f"ripple_{k}_{n}", "flow", q * v) for k, v in heard.items() for n, q in (("re", 1.0), ("im", 1j))]
         by_recording.append([Part("clock", "flow", speed), *parts])
     sizes = {f"_{order}{part}_": sd for order, sd in enumerate(_FED_BACK, 1) for part in "cs"}

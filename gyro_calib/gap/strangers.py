@@ -208,7 +208,7 @@ def cancel(model: CampaignModel, effects: Sequence[Screened]) -> bool:
     """Whether two effects are each other's negative but for a small rest: no device has both of just that size, and the rest is a third.
 
     A damping that lags behind the temperature was a gain of the drives that does, of 2.9e-3/K, and one of the pick-offs of -2.9e-3/K: of
-    both remains how fast they change, a fiftieth.
+    both remains how fast they change, a seventieth.
     """
     made = [model.screener.projected(e.candidate.columns)[0] @ e.values for e in effects]
     sizes = [float(np.linalg.norm(m)) for m in made]
