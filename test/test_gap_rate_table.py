@@ -56,6 +56,18 @@ def test_the_log_is_mended_by_recording() -> None:
             assert np.median(apart[apart > 0.1 * apart.max()]) < 1e-3
 
 
+@pytest.mark.parametrize(("length_s", "counted"), [(0.02, True), (0.06, True), (0.1, True), (0.5, False)])
+def test_steps_that_a_motor_rounds_are_steps_and_a_course_is_none(length_s: float, counted: bool) -> None:
+    """One of 15 ms takes 0.11 s of a thinned log: not counted as steps, a hemisphere on it had a quadrature by the square of the rate."""
+    evidence = model(late=True).evidence
+    logs = {r.label: shifted(r, 0.0, length_s) for r in on_a_table() if is_turned(r)}
+    on_table = {r.index: logs[r.recording.label] for r in evidence if is_turned(r.recording)}
+    steps = [c for c in rate_columns(evidence.replaced(on_table)) if c.name.startswith("table_step_")]
+    # two edges for each ramp, two phases for each step
+    ramps = sum(len(r.extras["applied_rate"]["t_s"]) // 2 for r in on_table.values())
+    assert len(steps) == 2 * ramps * counted
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rate_asymmetry", "centrifugal_stiffness"])
 def test_what_depends_on_rate_is_as_certain_as_with_a_right_log(name: str) -> None:

@@ -44,10 +44,12 @@ _TOLD_S = 0.05
 _SKEWED_RATE = 0.05
 #: how far the phases of the pick-offs of a healthy unit differ; effects.md 19 says to 0.01, of 15 units of four plants none came to 0.005
 _PHASE_RAD = 0.01
-#: a step is what changes within so long [s]; a log of more of them is a course
-_STEP_S, _MOST_STEPS = 0.1, 12
-#: share of the fastest change below which a table stands still; what a step leaves over ``dOmega / 2 w``: kappa, and a phase nobody knows
-_STILL, _OF_PHASE = 1e-6, 0.5
+#: a step is what changes within so long [s], as the thinned log has it (a motor of 15 ms takes 0.11 s); a log of more of them is a course
+_STEP_S, _MOST_STEPS = 0.25, 12
+#: share of the fastest change below which a table stands still
+_STILL = 1e-6
+#: what a step leaves over ``kappa dOmega / 2 w``, sd: the cosine of a phase nobody knows
+_OF_PHASE = 0.7
 #: growth of a wave by the square of the applied rate [s], sd: of a plant whose Coriolis force is a kick once a sample kappa^2 times that
 _KICKED_S = 2e-5
 #: by how much each step of a table is early or late by itself [s]
