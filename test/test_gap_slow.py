@@ -235,7 +235,7 @@ def test_a_damping_that_grows_is_no_floor_of_damping_that_it_has_made_itself() -
 
 
 @pytest.mark.slow
-def test_what_one_recording_alone_tells_is_no_drift() -> None:
+def test_what_one_recording_alone_tells_is_no_drift_and_no_mode() -> None:
     """A first record whose quadrature is another looks like a charge that is soon there; a stiffness that drifts is told by all."""
     unit, rng = draw_trial_unit("ring", 3701, 14), np.random.default_rng(2)
     model = _look(record_unit(unit, campaign_plan("ring", unit.device.factory(), rng, "quick"), {}, rng))
@@ -243,7 +243,13 @@ def test_what_one_recording_alone_tells_is_no_drift() -> None:
     first = next(k for k, r in enumerate(model.evidence) if r.is_wave)
     column = next(c for c in drift.columns if np.any(c.signal[first]))
     once = replace(column, signal=tuple(v if k == first else 0.0 * v for k, v in enumerate(column.signal)))
-    for added, candidate, several in ((once, charge, False), (column, drift, True)):
+    # and a mode of one wave, which may be its noise, like a mode of all of them
+    mode = next(c for c in model.candidates["spurious_mode"] if c.setting["separation_hz"] == 2.0)
+    rings = mode.columns[0]
+    waves = [k for k, r in enumerate(model.evidence) if r.is_wave]
+    loudest = max(waves, key=lambda k: float(np.linalg.norm(rings.signal[k])))
+    alone = replace(rings, signal=tuple(v if k == loudest else 0.0 * v for k, v in enumerate(rings.signal)))
+    for added, candidate, several in ((once, charge, False), (column, drift, True), (alone, mode, False), (rings, mode, True)):
         size = 15.0 / float(np.linalg.norm(model.screener.projected([added])[0]))
         strange = with_columns(model, [(added, size)])
         found = strange.screener.screen(candidate)

@@ -88,6 +88,26 @@ def test_in_the_forms_of_effects(recording: Recording) -> None:
     assert np.abs((found - exact)[len(lines) * 2 - 1 :]).max() < 100 * LEAST
 
 
+@pytest.mark.parametrize("rate_rad_s", [0.87, -0.87, 3.0])
+def test_a_wave_on_a_table_by_the_exact_solution(recording: Recording, rate_rad_s: float) -> None:
+    """``x'' + w^2 x = -2 kappa Omega J x'`` turns the wave by ``-kappa Omega`` at ``sqrt(w^2 + (kappa Omega)^2)``.
+
+    With Coriolis's force of V alone, and not of the velocity, a quiet hemisphere had a centrifugal stiffness of ``kappa^2 / w``.
+    """
+    kappa, t = 0.55, recording.t
+    turn = -kappa * rate_rad_s
+    carrier = np.exp(1j * (np.hypot(OMEGA0, turn) - OMEGA0) * t)
+    data = recording.data.copy()
+    V = carrier[:, None] * np.column_stack([np.cos(turn * t), np.sin(turn * t)])
+    data[:, 2:6] = np.ascontiguousarray(V).view(np.float64).reshape(len(V), 4)
+    data[:, 10] = OMEGA0 / (2 * np.pi)
+    words = {"kind": "steps from t after the start of the record", "t_s": [0.0], "rad_s": [rate_rad_s]}
+    turned = replace(recording, data=data, extras={**recording.extras, "applied_rate": words})
+    p = Products(turned, OMEGA0, 0.0).project([0.0, 0.2, 0.4])
+    left = p.lhs - kappa * (p.rate_pick[:, 0, 1] - p.rate_pick[:, 1, 0])
+    assert np.abs(left).max() < 0.02 * turn**2 / OMEGA0
+
+
 @pytest.fixture(scope="module")
 def late(recording: Recording) -> Recording:
     """The same while it warms, behind whose ramp the reference comes late: a phase of a milliradian that sets in."""

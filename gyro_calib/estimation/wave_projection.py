@@ -53,7 +53,7 @@ class WaveProjected:
     pick, drive, drive_rate, drive_slope : ndarray, shape (2 m, 2, 2), complex
         Regressors [equation, axis a, column b] of A_ab, G~_ab, E_ab, and of a drive that acts later than it is recorded (its derivative).
     rate_pick, rate_drive, jerk : ndarray, shape (2 m, 2, 2), complex
-        Applied rate times V, times u, and its change times V.
+        Applied rate times the velocity over i omega0, times u, and its change times V.
     body, constant : ndarray, shape (2 m, 2), complex
         Projected volts of the body excitation, and one, by axis: regressors of a force that does not follow the wave.
     slow : ndarray, shape (2 m, 2 k)
@@ -181,6 +181,8 @@ class Products:
         rate, slope = applied_rate(recording)
         excitation = recording.command.excitation
         body = complex(excitation.volts) if excitation.kind == "body" else 0j
+        # a Coriolis force goes with the velocity, i omega V + V': of a wave that turns by kappa Omega that is kappa^2 Omega^2 / omega
+        velocity = (omega / omega0_rad_s)[:, None] * V - 1j / omega0_rad_s * np.gradient(V, 1.0 / rate_hz, axis=0)
         time = np.linspace(-1.0, 1.0, len(recording))[:, None]
         self._t = thin(recording.t, self._width)
         slow, self._slow_hz = slow_waves(recording)
@@ -200,7 +202,7 @@ class Products:
                     *self._by_axis(d.m, delay * acting),
                 ],
                 "drive_slope": [*self._by_axis(-d.m1, acting), *self._by_axis(-d.m, acting)],
-                "rate_pick": self._by_axis(d.m, rate[:, None] * V),
+                "rate_pick": self._by_axis(d.m, rate[:, None] * velocity),
                 "rate_drive": self._by_axis(d.m, rate[:, None] * u),
                 "jerk": self._by_axis(d.m, slope[:, None] * V),
                 "body": [thin(d.m * body, self._width)],

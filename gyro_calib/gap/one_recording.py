@@ -4,6 +4,8 @@ A course of time that begins or ends a campaign is told by few recordings, most 
 lay five standard deviations from the others held a charge that was there after 25 s (40 in chi-square, 10 without that record). And a
 ring-down of a healthy hemisphere that began before the wave had come to rest, 25 s after a ramp, was a bias that lags behind it (80, of
 which the ramp itself told nothing) or what warmed drives do: all that differs at a record's beginning is a memory of what went before.
+A mode beside the carrier has six sizes and follows the noise of one ring-down's lines (66, of which 11 are not that recording's); an open
+drive next to it may well be the only one to tell it.
 """
 
 from __future__ import annotations
@@ -23,14 +25,15 @@ if TYPE_CHECKING:
 
 __all__ = ["memories_of_several", "told_by_several"]
 
-#: how the registry calls what lags, behind the temperature if it needs one
-_LAG = "_lag"
+#: how the registry calls what lags, behind the temperature if it needs one; a mode of which waves tell, and open drives
+_LAG, _MODE = "_lag", "spurious_mode"
 
 
 def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Candidate]) -> bool:
-    """Whether an effect that goes with time, or is late, is still likelier than none without the recording that tells most of it.
+    """Whether an effect that goes with time, is late or rings is still likelier than none without the recording that tells most of it.
 
-    Late behind the temperature, that is; and of such a lag that one may be all there is, if the temperature moves in it.
+    Late behind the temperature, that is; and of such a lag that one may be all there is, if the temperature moves in it. What rings may be
+    told by one open drive, and not by one wave.
 
     Parameters
     ----------
@@ -40,10 +43,12 @@ def told_by_several(model: CampaignModel, found: Screened, others: Sequence[Cand
         What else was found.
     """
     lags = found.name.endswith(_LAG) and "temperature" in EFFECTS[found.name].needs
-    if not (lags or is_of_time(found.name)):
+    rings = found.name == _MODE
+    if not (lags or rings or is_of_time(found.name)):
         return True
     for r in _loudest(model, found, model.screener_with(others)):
-        still = found if lags and r.is_warming else model.seen_without((r.index,), found, others)
+        alone = (lags and r.is_warming) or (rings and not r.is_wave)
+        still = found if alone else model.seen_without((r.index,), found, others)
         if still is None or still.log_evidence <= 0.0:
             return False
     return True
