@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 Family = Callable[[Column], str]
 _SIZES = np.concatenate([[1e-4], np.geomspace(1e-3, 1.0, 25)])
 _ROUNDS, _FIRST = 4, 0.03
+#: what rounding leaves of a variance over its prior; a frequency known to 1e-7 rad/s of 1e-2 has 1e-10
+_ROUNDING = 1e-17
 #: by how much a measured share may be too small
 _MOST_TOO_SMALL = 4.0
 
@@ -89,7 +91,8 @@ def _told(solution: Solution, family: Family) -> tuple[list[str], FloatArray, Fl
     prior = np.array([solution.columns[k].prior_sd for k in places])
     covariance = solution.covariance[np.ix_(places, places)] / np.outer(prior, prior)
     # what the data alone say is the posterior less the prior
-    posterior = np.linalg.inv(covariance + 1e-12 * np.eye(prior.size))
+    known, axes = np.linalg.eigh(covariance)
+    posterior = np.asarray((axes / np.maximum(known, _ROUNDING)) @ axes.T)
     w, v = np.linalg.eigh(posterior - np.eye(prior.size))
     data = np.asarray((v * np.maximum(w, 0.0)) @ v.T)
     return [family(solution.columns[k]) for k in places], data, np.asarray(posterior @ (solution.values[places] / prior))

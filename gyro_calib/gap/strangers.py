@@ -130,6 +130,8 @@ def stranger(model: CampaignModel, chosen: Sequence[Candidate], effects: Sequenc
         if chosen:
             alone = _said_of_their_kind(model, effects)
             named = max(_set_worth(model, chosen), _worth_of_one(model, chosen, effects, first))
+            if alone is not None and (alone[1].form, alone[1].phase) == HEATED:
+                named = max(named, _set_worth_beside_wander(model, effects))
             if alone is not None and (worth_of(alone[0]) > named or one_change_of_another_kind(effects) or cancel(model, effects)):
                 return _stranger(model, alone)
         if significant > LEFT_SIGMA and share > LEFT_SHARE:
@@ -280,6 +282,18 @@ def _set_worth(model: CampaignModel, chosen: Sequence[Candidate]) -> float:
     found = [model.screener.screen(candidate) for candidate in chosen]
     directions = sum(own_directions(f) for f in found if f is not None)
     return worth(model.screener.chi2 - model.screener_with(chosen).chi2, directions, math.prod(c.choices for c in chosen))
+
+
+def _set_worth_beside_wander(model: CampaignModel, effects: Sequence[Screened]) -> float:
+    """The same beside a wander between records that is as large as it is with the effects, as what lies between records is weighed.
+
+    A Duffing of a device that has no wander was a heat of the wave: its 9197 in chi-square were beside one that the Duffing had made.
+    """
+    gain, others = 0.0, list[Candidate]()
+    for e in effects:
+        gain += beside_wander(model, others, e)
+        others.append(e.candidate)
+    return worth(gain, sum(map(own_directions, effects)), math.prod(c.choices for c in others))
 
 
 def own_directions(found: Screened) -> int:
