@@ -182,7 +182,7 @@ class Products:
         excitation = recording.command.excitation
         body = complex(excitation.volts) if excitation.kind == "body" else 0j
         # a Coriolis force goes with the velocity, i omega V + V': of a wave that turns by kappa Omega that is kappa^2 Omega^2 / omega
-        velocity = (omega / omega0_rad_s)[:, None] * V - 1j / omega0_rad_s * np.gradient(V, 1.0 / rate_hz, axis=0)
+        velocity = np.asarray((omega / omega0_rad_s)[:, None] * V - 1j / omega0_rad_s * np.gradient(V, 1.0 / rate_hz, axis=0))
         time = np.linspace(-1.0, 1.0, len(recording))[:, None]
         self._t = thin(recording.t, self._width)
         slow, self._slow_hz = slow_waves(recording)

@@ -51,7 +51,7 @@ def _parts(r: RecordingEvidence, linear: Linear) -> list[Part]:
     return parts + [Part(f"split.{name}", "flow", 1j * closed * (motion @ shape)) for name, shape in zip("cs", SPLIT, strict=True)]
 
 
-def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0) -> list[Column]:
+def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0, *, every: bool = False) -> list[Column]:
     """Slow cosines of everything that drifts, as large as they may be at most; named ``drift.family.axis.k``.
 
     And what stands still in the case in each recording whose wave turns past it: ``drift.family.axis.of_index``; gains and phases that
@@ -63,6 +63,8 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0
     linear : Linear
     flicker : float
         Density at 1 Hz of gains that flicker more than healthy ones [1/sqrt(Hz)]: their half cosines have variances of its square over k.
+    every : bool
+        Each recording's own also where the wave stands: what a floor, or a loop that locks anew, does from one to the next.
     """
     base = part_columns(evidence, [_parts(r, linear) for r in evidence], linear)
     times = np.array([float(r.signals.time_s.mean()) for r in evidence])
@@ -86,7 +88,7 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0
             signal, quiet = (tuple(float(c) * v for c, v in zip(shape, of, strict=True)) for of in (column.signal, column.quiet))
             columns.append(Column(f"drift.{column.name}.{k}", signal, quiet, largest[family] / np.sqrt(k)))
         if family in _OF_CASE:
-            columns += _of_recordings(evidence, column, largest[family], every=flicker_of.get(family, 0.0) > 0.0)
+            columns += _of_recordings(evidence, column, largest[family], every=every or flicker_of.get(family, 0.0) > 0.0)
     return [c for c in columns if any(np.any(v) for v in c.signal)]
 
 
