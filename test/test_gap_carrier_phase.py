@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -49,9 +50,11 @@ def test_the_jump_is_that_of_the_phase(phase: float) -> None:
 
 
 @cache
-def hemisphere() -> CampaignModel:
+def hemisphere(*, wanders: bool = True) -> CampaignModel:
     """A healthy one, whose simulated table steps from one converter sample to the next."""
     device = draw_unit(load_device("hrg_hardware"), 5)
+    if not wanders:
+        device = replace(device, environment=replace(device.environment, wander_k=0.0))
     instrument = SimulatedInstrument(GyroSimulator(device, rng=np.random.default_rng(3), fidelity="carrier"), 2e-5)
     return looked_at(run_plan(instrument, gap_whole_angle_plan(device.factory(), quality="quick", abilities=("applied_rate",))))
 
@@ -72,3 +75,12 @@ def test_what_a_step_leaves_is_neither_noise_nor_an_effect() -> None:
     ((_, sd),) = loudest(model, "rate_asymmetry").sizes().values()
     assert sd < 3e-6
     assert loudest(model, "rate_nonlinearity").gain < 9.0
+
+
+@pytest.mark.slow
+def test_what_no_wander_hides_is_no_centrifugal_stiffness() -> None:
+    """``kappa^2 / w``, what a Coriolis force of the volts alone lacks, was 9.5e-6 of a hemisphere whose resonance stands still."""
+    found = loudest(hemisphere(wanders=False), "centrifugal_stiffness")
+    ((value, sd),) = found.sizes().values()
+    assert sd < 2e-6
+    assert abs(value) < 4.0 * sd
