@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from gyro_calib.gap import steady_swings
 from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.flow_left import FlowLeft
-from gyro_calib.gap.steady_swings import find_steady_swing
+from gyro_calib.gap.steady_swings import find_steady_swing, swings_at_rest
 from gyro_calib.gap.swings import Kind, find_swing
 
 ROWS, COUNT = 900, 12
@@ -70,6 +70,27 @@ def test_one_disturbed_recording_is_not_the_campaign() -> None:
     phases = np.full(COUNT, np.nan)
     phases[4] = 0.6
     assert find_steady_swing(swinging(flows(np.random.default_rng(3)), "precession", 4e-5, phases)) is None
+
+
+def told_again(size_at_rest: float, at_rest: int, seed: int) -> tuple[bool, bool]:
+    """Whether recordings at rest find a swing of all others by themselves, and whether they tell it again."""
+    moved = [replace(f, excited_hz=0.0 if k < at_rest else 1.3) for k, f in enumerate(flows(np.random.default_rng(seed)))]
+    everywhere = swinging(moved, "precession", 2e-5, np.full(COUNT, 0.6))
+    swing = find_steady_swing(everywhere)
+    assert swing is not None
+    held = swinging(moved, "precession", size_at_rest, np.full(COUNT, 0.6))[:at_rest] + everywhere[at_rest:]
+    return find_steady_swing([f for f in held if f.is_still]) is not None, swings_at_rest(held, swing)
+
+
+def test_few_recordings_at_rest_tell_again_what_all_tell() -> None:
+    """A pedestal that swayed by 6.7e-5 rad/s was dropped beside a small Duffing: six at rest, less the loudest, found nothing."""
+    for seed in range(6):
+        assert told_again(2e-5, 5, seed) == (False, True)
+
+
+def test_what_swings_in_moved_waves_alone_is_not_at_rest() -> None:
+    assert sum(told_again(0.0, 5, seed)[1] for seed in range(12)) <= 1
+    assert told_again(2e-5, 3, 1) == (False, False)
 
 
 def test_two_recordings_of_a_kind_whose_floor_is_mistaken_are_not_the_campaign() -> None:

@@ -40,7 +40,7 @@ from .screen import Candidate, Screened
 from .select import Selection, select_effects
 from .spectral_effects import SAMPLED, SPECTRAL, SpectralEffects, spectral_effects
 from .standing import standings
-from .steady_swings import find_steady_swing
+from .steady_swings import find_steady_swing, swings_at_rest
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
 from .swings import Swing, find_swing
 from .system import Solution
@@ -111,7 +111,7 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], report: Callable[[f
     selection = select_effects(model)
     beside = with_unseen_steps(beside, model, selection, left_out)
     selection = _without_products(model, selection, beside)
-    beside = _swaying_at_rest(beside, flows) if selection.effects else beside
+    beside = _swaying_at_rest(beside, flows, swings) if selection.effects else beside
     chosen = [e.candidate for e in selection.effects]
     beside = without_walked(beside, chosen)
     rich = model.fitted(chosen) if chosen else model.base
@@ -299,17 +299,17 @@ def _within_recordings(flows: Sequence[FlowLeft], swings: Sequence[Swing], with_
     moves: list[Swing | Jumps | None] = [*swings, period, find_jumps(flows)]
     if with_effects:
         still = [flow for flow in flows if flow.is_still]
-        moves = [find_swing(still), find_steady_swing(still), period]
+        moves = [find_swing(still), find_steady_swing(still), *(s for s in swings if s.size > 0.0 and swings_at_rest(flows, s)), period]
     found = [moved.unknown() for moved in moves if moved is not None]
     return max(found, key=lambda unknown: unknown.gain, default=None)
 
 
-def _swaying_at_rest(beside: SpectralEffects, flows: Sequence[FlowLeft]) -> SpectralEffects:
+def _swaying_at_rest(beside: SpectralEffects, flows: Sequence[FlowLeft], swings: Sequence[Swing]) -> SpectralEffects:
     """Without a rate that goes to and fro only where effects do, in waves that turn or that a side band moves."""
     if not any(e.name == "base_sway" for e in beside.effects):
         return beside
     still = find_steady_swing([flow for flow in flows if flow.is_still])
-    if still is not None and still.is_a_rate:
+    if (still is not None and still.is_a_rate) or any(s.is_a_rate and swings_at_rest(flows, s) for s in swings):
         return beside
     excluded = tuple(replace(s, status="excluded") if s.name == "base_sway" else s for s in beside.standings)
     return replace(beside, effects=tuple(e for e in beside.effects if e.name != "base_sway"), standings=excluded)

@@ -24,7 +24,7 @@ from .evidence import CHANNELS
 from .flow_left import FlowLeft
 from .swings import HIGHEST_HZ, SHORTEST_S, Kind, Swing, is_imaged, kinds_of
 
-__all__ = ["besides", "find_steady_swing", "floors_of"]
+__all__ = ["besides", "find_steady_swing", "floors_of", "swings_at_rest"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -39,6 +39,8 @@ _MARGIN, _BELOW = 8.0, 0.01
 #: what a record must tell over the most that one does: ten whose floor was believed a hundred times too high, and three others, were
 #: thirteen far below their law with a log evidence of 8.6
 _TELLS = 0.1
+#: where other records say its frequency: fewest records that tell it again, log evidence, and how far the frequency is asked, in its sd
+_FEWEST_AGAIN, _MARGIN_AGAIN, _SD_AGAIN = 4, 5.0, 3.0
 #: harmonics of a side band, and of the azimuth, that have a size of their own in each record; what must be left of a cosine beside them;
 #: bins about an image
 _OF_SIDE_BAND, _OF_AZIMUTH, _LEAST_LEFT, _SKIRT_BINS = (1, 2, 3, 4, 5), (1, 2, 3, 4, 6, 8), 0.3, 1.5
@@ -170,6 +172,35 @@ def find_steady_swing(flows: Sequence[FlowLeft]) -> Swing | None:
     return max(found, key=lambda swing: swing.log_evidence * (_SHAPED if swing.shape else 1.0), default=None)
 
 
+def swings_at_rest(flows: Sequence[FlowLeft], swing: Swing) -> bool:
+    """Whether records whose wave stands still hold a steady swing as well, at the frequency that all of them say.
+
+    Nothing is searched, so fewer of them tell it than would find it: six at rest of a twenty-eighth plant, of which one alone may have been
+    disturbed, do not find a sway of 6.7e-5 rad/s that stands a hundred times over the floor of each.
+
+    Parameters
+    ----------
+    flows : sequence of FlowLeft
+    swing : Swing
+        As :func:`find_steady_swing` has it.
+    """
+    still = [flow for flow in flows if flow.is_still and flow.duration_s >= SHORTEST_S]
+    kinds = kinds_of(still, swing.channel)
+    records = {id(flow): _Record(flow, swing.shape) for kind in kinds for flow in kind.flows}
+    if len(records) < _FEWEST_AGAIN:
+        return False
+    grid = swing.frequency_hz + _SD_AGAIN * swing.frequency_sd_hz * np.linspace(-1.0, 1.0, _FINER)
+    heard = _heard(kinds, records, grid[grid > 0.0], swing.channel)
+    best = int(np.argmax(_evidence(heard)))
+    told = heard.a[:, best] > 0.0
+    return int(told.sum()) >= _FEWEST_AGAIN and _without_the_loudest(heard, told, best) > _MARGIN_AGAIN
+
+
+def _without_the_loudest(heard: _Heard, told: NDArray[np.bool_], k: int) -> float:
+    """Log evidence at a frequency without the record that says most: one alone may have been disturbed."""
+    return min(float(_evidence(heard.part(told & (np.arange(told.size) != j), k))[0]) for j in np.flatnonzero(told))
+
+
 def _shapes(flows: Sequence[FlowLeft]) -> list[str]:
     """Those in which waves of these azimuths hold something, each unlike the others: on one axis alone all are one."""
     squares = {shape: np.array([float(np.mean(of(flow.azimuth_rad) ** 2)) for flow in flows]) for shape, of in _SHAPES.items()}
@@ -197,8 +228,7 @@ def _of_channel(kinds: Sequence[Kind], records: Mapping[int, _Record], grid: Flo
     told = heard.a[:, best] > 0.0
     if int(told.sum()) < _FEWEST:
         return None
-    # without the record that says most: one alone may have been disturbed
-    beyond = min(float(_evidence(heard.part(told & (np.arange(told.size) != k), best))[0]) for k in np.flatnonzero(told)) - searched
+    beyond = _without_the_loudest(heard, told, best) - searched
     if beyond <= _MARGIN:
         return None
     whole = heard.part(told, best).together()
