@@ -179,7 +179,6 @@ def test_a_tone_within_the_signal_is_one_of_vibration_and_no_swing() -> None:
 
 @pytest.mark.parametrize("at_rest", [12, 5, 0])
 def test_beside_other_effects_a_base_sways_in_waves_that_stand_still_too(at_rest: int) -> None:
-    """Five of them do not find it by themselves, but hold it where the others say it is."""
     steady = Swing("precession", 1.7, 75.0, 30, 1e-4, 4e-6, 1e-4, 0.3, 0.1)
     beside = spectral_effects(records(np.random.default_rng(0)), LINEAR, (), [steady])
     flows = quiet_flows(np.random.default_rng(1), [3.0 + 17.3 * k for k in range(12)], 900)
