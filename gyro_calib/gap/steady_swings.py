@@ -175,8 +175,8 @@ def find_steady_swing(flows: Sequence[FlowLeft]) -> Swing | None:
 def swings_at_rest(flows: Sequence[FlowLeft], swing: Swing) -> bool:
     """Whether records whose wave stands still hold a steady swing as well, at the frequency that all of them say.
 
-    Only its sd of frequency is searched, so fewer of them tell it than would find it: six at rest of a twenty-eighth plant, of which one alone
-    may have been disturbed, do not find a sway of 6.7e-5 rad/s that stands 40 to 160 times over the floor of the four static ones.
+    Only its sd of frequency is searched, so fewer of them tell it than would find it: six at rest of a twenty-eighth plant, of which one
+    alone may have been disturbed, do not find a sway of 6.7e-5 rad/s that stands 40 to 160 times over the floor of the four static ones.
 
     Parameters
     ----------
