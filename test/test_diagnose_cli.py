@@ -74,7 +74,7 @@ def outputs(written):
 @pytest.fixture
 def diagnosed(written, monkeypatch):
     """The command with that diagnosis: what it writes and prints is asked, not what it finds."""
-    monkeypatch.setattr("gyro_calib.gap.diagnose", lambda campaign, on_progress=None: written[2])
+    monkeypatch.setattr("gyro_calib.gap.diagnose", lambda campaign, **options: written[2])
 
 
 def test_json_has_the_keys_of_the_contract(outputs):

@@ -9,8 +9,8 @@ import pytest
 from test_diagnose_cli import diagnosis
 
 from gyro_calib.gap import Standing
-from gyro_calib.gap.diagnose import _summary
 from gyro_calib.gap.heldout import Shrinkage
+from gyro_calib.gap.summary import summary_of
 from gyro_calib.quantity import Quantity
 from gyro_calib.report.gap_page import gap_page
 from gyro_calib.report.gap_tables import before_after_table, effects_table, standings_table
@@ -29,7 +29,7 @@ def test_what_could_not_be_tested_has_no_probability_of_being_absent():
 @pytest.mark.parametrize(("untested", "said"), [(20, False), (57, True)])
 def test_none_found_says_how_much_was_not_looked_for(untested, said):
     lines = tuple(Standing(f"e{k}", "", "drive", "not testable" if k < untested else "excluded", None, 0.0, 0.0, 0.0) for k in range(83))
-    summary = _summary("none", (), None, Shrinkage(1.0, 1.0, 100, 0.0, 0.0), lines)
+    summary = summary_of("none", (), None, Shrinkage(1.0, 1.0, 100, 0.0, 0.0), lines)
     assert summary.startswith("None: the linear device explains all 100 unseen figures")
     assert (f"{untested} of 83 effects cannot be tested" in summary) is said
 

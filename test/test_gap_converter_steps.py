@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from test_gap_spectra import LINEAR, records
 
 from gyro_calib.gap.converter_steps import ConverterSteps, converter_steps, step_of
-from gyro_calib.gap.diagnose import _summary
 from gyro_calib.gap.heldout import Shrinkage
 from gyro_calib.gap.spectral_effects import spectral_effects
+from gyro_calib.gap.summary import summary_of
 from gyro_calib.recording.recording import Recording
 
 LSB_V = 7.63e-5
@@ -68,7 +68,7 @@ def test_coarse_steps_are_named_with_their_size() -> None:
     assert found.effects[0].parameters["lsb"].value == pytest.approx(LSB_V, rel=1e-6)
     # what the slow flow names beside them is not told from what rounding does
     assert found.products > 100.0
-    assert "leaves the means of the slow flow alone" not in _summary("effects", found.effects, None, cast(Shrinkage, None))
+    assert "leaves the means of the slow flow alone" not in summary_of("effects", found.effects, None, cast(Shrinkage, None))
     assert spectral_effects(recorded(0.3 * LSB_V, LSB_V), LINEAR, ["pickoff_quantisation"]).effects == ()
 
 

@@ -19,7 +19,8 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_plan
 from gyro_calib.gap import Unknown
-from gyro_calib.nodes.gap_run import GapRun
+from gyro_calib.gap.healthy import HealthySpread
+from gyro_calib.nodes.gap_run import GapRun, healthy_of_fleet
 from gyro_calib.nodes.run_manager import RunManager, RunState, RunStatus
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.command import Command
@@ -37,10 +38,12 @@ class Replaced:
     def __init__(self, verdict: str = "effects") -> None:
         self.verdict = verdict
         self.campaigns: list[Campaign] = []
+        self.healthy: list[HealthySpread | None] = []
         self.before: Callable[[], None] = lambda: None
 
-    def __call__(self, campaign: Campaign, *, on_progress: Callable[[float, str], None]) -> Any:
+    def __call__(self, campaign: Campaign, *, healthy: HealthySpread | None, on_progress: Callable[[float, str], None]) -> Any:
         self.campaigns.append(campaign)
+        self.healthy.append(healthy)
         on_progress(0.5, "noise")
         self.before()
         on_progress(1.0, "done")
@@ -115,7 +118,7 @@ def test_a_clean_gyro_asks_for_no_attention(diagnose: Replaced, tmp_path: Path) 
 
 
 def test_figures_that_say_nothing_are_no_results_and_no_kin_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def thin(campaign: Campaign, *, on_progress: Callable[[float, str], None]) -> Any:
+    def thin(campaign: Campaign, **_: Any) -> Any:
         made = make_diagnosis(campaign.device_id, "unknown", len(campaign))
         gap = replace(made.gap, bias_after=Quantity(0.0, 4.3e8, "deg/h"))
         return replace(made, gap=gap, unknown=Unknown("drive", "in phase", "u", "recording", "", 50.0))
@@ -158,6 +161,17 @@ def test_recordings_that_the_diagnosis_refuses_fail_the_run_and_stay_on_disk(dia
     assert (tmp_path / "runs" / status.run_id / "campaign.h5").is_file()
 
 
+def test_a_unit_is_judged_beside_its_fleet(diagnose: Replaced, tmp_path: Path) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text("nominal_f0_hz: 15000.0\nhealthy: {axis_gain_per_k: 2.0e-6}\n")
+    bench = Bench(tmp_path)
+    healthy = healthy_of_fleet(str(file), bench.instrument.factory)
+    bench.work = GapRun(bench.instrument, bench.plan, beside=bench.records, healthy=healthy)
+    assert bench.run().state is RunState.DONE
+    assert diagnose.healthy == [HealthySpread(axis_gain_per_k=2e-6)]
+    assert healthy_of_fleet("", bench.instrument.factory) is None
+
+
 # -- over ROS ---------------------------------------------------------------------------------------------------------------------------
 
 
@@ -189,6 +203,20 @@ def test_diagnose_gap_over_topics_and_the_calibration_stays(diagnose: Replaced, 
     assert record_file().read_bytes() == stored
     assert rig.published_record == record
     assert rig.values["calibration"] == record.record_id
+    assert rig.gyro_command == Command()
+
+
+@pytest.mark.ros
+def test_a_fleet_of_another_kind_is_refused_before_anything_is_recorded(diagnose: Replaced, ros: Any, tmp_path: Path) -> None:
+    from calibration_rig import Rig
+
+    file = tmp_path / "fleet.yaml"
+    file.write_text("nominal_f0_hz: 5300.0\nhealthy: {axis_gain_per_k: 2.0e-6}\n")
+    rig = Rig(ros, fleet=str(file))
+    refused = rig.call("diagnose_gap")
+    assert not refused.success
+    assert "about 5300 Hz, but got 15000 Hz" in refused.message
+    assert diagnose.campaigns == []
     assert rig.gyro_command == Command()
 
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.diagnose import _said, _summary
 from gyro_calib.gap.diagnosis import FoundEffect
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.screen import Candidate, Screener
+from gyro_calib.gap.summary import said, summary_of
 from gyro_calib.gap.system import Whitener, solve
 from gyro_calib.gap.told import _of_its_tangent, told_sizes
 from gyro_calib.quantity import Quantity
@@ -137,7 +137,7 @@ def test_a_variant_by_axis_is_named_where_the_axes_are_unlike(y: float, named: b
 def test_a_share_that_nobody_knows_is_not_told(sd: float, words: str) -> None:
     """A healthy hemisphere's delay "closed 46.7 %" of the gap, give or take 2854 %."""
     effect = SimpleNamespace(name="drive_delay", group=("drive_delay",), parameters={"tau_x": Quantity(4e-5, 5e-6, "s")})
-    said = _summary("effects", (effect,), None, SimpleNamespace(told=0.467, told_sd=sd))  # type: ignore[arg-type]
+    said = summary_of("effects", (effect,), None, SimpleNamespace(told=0.467, told_sd=sd))  # type: ignore[arg-type]
     assert words in said
     assert said.startswith("Present: drive_delay (tau_x = 4e-05")
 
@@ -147,7 +147,7 @@ def test_what_no_residual_shows_is_said_to_stand_where_it_does() -> None:
         return SimpleNamespace(name=name, group=(name,), parameters={"k": Quantity(0.1, 0.01, "rad/s")})
 
     def said(*names: str) -> str:
-        return _summary("effects", tuple(map(effect, names)), None, SimpleNamespace(told=0.5, told_sd=0.1))  # type: ignore[arg-type]
+        return summary_of("effects", tuple(map(effect, names)), None, SimpleNamespace(told=0.5, told_sd=0.1))  # type: ignore[arg-type]
 
     assert "It stands in the spectra, and leaves the means" in said("base_sway")
     assert "It stands in what the loops ask for and in the constants of the linear device, and" in said(
@@ -162,7 +162,7 @@ def test_what_no_residual_shows_is_said_to_stand_where_it_does() -> None:
     [(7.11e-6, 0.031, "0 ± 0.031 V"), (-7.11e-6, 0.031, "0 ± 0.031 V"), (3.6512e-5, 4e-7, "3.651e-05 ± 4e-07 V"), (1.5, 0.0, "1.5 ± 0 V")],
 )
 def test_a_size_is_said_to_the_second_digit_of_its_sd(value: float, sd: float, text: str) -> None:
-    assert _said(Quantity(value, sd, "V")) == text
+    assert said(Quantity(value, sd, "V")) == text
 
 
 def test_a_skew_is_told_by_the_angle_of_what_it_crosses() -> None:

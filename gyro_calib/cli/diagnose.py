@@ -16,6 +16,7 @@ from .outputs import check_outputs
 if TYPE_CHECKING:
     from ..device import Device
     from ..gap import Diagnosis
+    from ..gap.fleet_file import Fleet
     from ..recording.recording import Campaign
 
 
@@ -23,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING", help="HDF5 files, ROS 2 bags or folders, of one device")
     parser.add_argument("--device", metavar="DEVICE", help="nominal or previous device description: a YAML file, or a packaged one")
+    parser.add_argument("--fleet", type=Path, metavar="FILE", help="what healthy units of this kind have, from gyro-calib fleet")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the diagnosis; - for stdout")
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page with pictures")
     parser.add_argument("--patched-device", type=Path, metavar="FILE", help="write the device with what was found, for gyro-calib simulate")
@@ -40,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         from ..recording.load import load_campaign
         from ..report.theme import require_matplotlib
 
-    device = _device(arguments.device)
+    device, fleet = _device(arguments.device), _fleet(arguments.fleet)
     if arguments.html is not None:
         require_matplotlib()
     check_outputs(arguments, "json", "html", "patched_device")
@@ -50,9 +52,13 @@ def run(arguments: argparse.Namespace) -> int:
         from ..gap.patch import check_kind
 
         check_kind(device, campaign.factory)
+    healthy = None
+    if fleet is not None:
+        fleet.check_kind(campaign.factory)
+        healthy = fleet.healthy
     with progress_bar("diagnosing") as report:
-        diagnosis = diagnose(campaign, on_progress=report)
-    diagnosis = with_provenance(diagnosis, arguments.recordings)
+        diagnosis = diagnose(campaign, healthy=healthy, on_progress=report)
+    diagnosis = with_provenance(diagnosis, arguments.recordings, arguments.fleet)
     shown = arguments.json is None or str(arguments.json) != "-"
     try:
         # before the terminal, which may be gone: `| head` closes it
@@ -93,18 +99,29 @@ def print_diagnosis(diagnosis: Diagnosis, *, every: bool = False) -> None:
         say(f"Not testable with these recordings: {', '.join(diagnosis.not_testable)}.")
 
 
-def with_provenance(diagnosis: Diagnosis, paths: Sequence[Path]) -> Diagnosis:
+def with_provenance(diagnosis: Diagnosis, paths: Sequence[Path], fleet: Path | None = None) -> Diagnosis:
     """The diagnosis with the version of the package and the hashes of what was read."""
     from ..paths import package_version
 
     inputs = [{"name": path.name, "sha256": _sha256(path)} for path in paths]
-    return replace(diagnosis, provenance={**diagnosis.provenance, "package_version": package_version(), "inputs": inputs})
+    read: dict[str, object] = {"package_version": package_version(), "inputs": inputs}
+    if fleet is not None:
+        read["fleet"] = {"name": fleet.name, "sha256": _sha256(fleet)}
+    return replace(diagnosis, provenance={**diagnosis.provenance, **read})
 
 
 def _device(source: str | None) -> Device | None:
     from ..device import load_device
 
     return None if source is None else load_device(source)
+
+
+def _fleet(path: Path | None) -> Fleet | None:
+    if path is None:
+        return None
+    from ..gap.fleet_file import read_fleet
+
+    return read_fleet(path)
 
 
 def _write_patched(path: Path, device: Device, campaign: Campaign, diagnosis: Diagnosis, shown: bool) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from ..errors import GyroCalibError
 from ..threads import one_thread
-from . import allan, blind_trial, calibrate, call, compare, demo, diagnose, factory, pickoff, simulate, study, up
+from . import allan, blind_trial, calibrate, call, compare, demo, diagnose, factory, fleet, pickoff, simulate, study, up
 
 __all__ = ["build_parser", "main"]
 
@@ -24,6 +24,7 @@ _COMMANDS = {
     "simulate": simulate,
     "calibrate": calibrate,
     "diagnose": diagnose,
+    "fleet": fleet,
     "compare": compare,
     "factory": factory,
     "pickoff": pickoff,

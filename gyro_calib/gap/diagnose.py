@@ -19,13 +19,15 @@ from .checks import checked
 from .coarse_drive import with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
-from .flicker_effects import FLICKERS, with_flickers, without_walked
+from .fleet import coefficients_of
+from .flicker_effects import with_flickers, without_walked
 from .flow_left import FlowLeft, flows_left
 from .gap_map import gap_map
+from .healthy import HealthySpread
 from .heldout import Shrinkage, halves_disagree, shrinkage, shrinkage_of_halves
 from .jumps import Jumps, find_jumps
 from .linear_device import linear_of
-from .loop_effects import LOOP_EFFECTS, loop_effects
+from .loop_effects import loop_effects
 from .loud import loudest
 from .model import CampaignModel, look_at
 from .near_tones import find_near_tone
@@ -35,13 +37,14 @@ from .open_lines import find_open_line
 from .periods import find_period
 from .probabilities import beside_unknown, none_or_unknown
 from .rate_table import said_late
-from .reciprocity import RECIPROCITY, reciprocity
+from .reciprocity import reciprocity
 from .screen import Candidate, Screened
 from .select import Selection, select_effects
-from .spectral_effects import SAMPLED, SPECTRAL, SpectralEffects, spectral_effects
+from .spectral_effects import SpectralEffects, spectral_effects
 from .standing import standings
 from .steady_swings import find_steady_swing, swings_at_rest
 from .strangers import MARGIN, Stranger, unnamed_rest, worth_of
+from .summary import summary_of
 from .swings import Swing, find_swing
 from .system import Solution
 from .thermometer import said_sensor_late
@@ -50,25 +53,15 @@ from .unseen_steps import with_unseen_steps
 
 __all__ = ["diagnose"]
 
-#: where effects stand that no residual of the slow flow shows
-_PLACES = (
-    (SPECTRAL, "in the spectra"),
-    (FLICKERS, "in the floors of the noise"),
-    (LOOP_EFFECTS, "in what the loops ask for"),
-    ((RECIPROCITY,), "in the constants of the linear device"),
-)
 #: share of the gap of unseen experiments that an effect of the right form closes at least, within so many standard deviations
 _LEAST_CLOSED, _SIGMAS = 0.5, 3.0
-#: sd of the share that is closed, beyond which it is no figure to be told
-_UNKNOWN_SHARE = 0.5
-#: share of the effects that cannot be tested, from which on none found is no more than half an answer: the practice campaigns have 0.08
-_MUCH_UNTESTED = 0.25
 
 
 def diagnose(
     campaign: Campaign,
     *,
     without: Iterable[str] = (),
+    healthy: HealthySpread | None = None,
     on_progress: Callable[[float, str], None] | None = None,
 ) -> Diagnosis:
     """Diagnose a campaign of force-rebalance or whole-angle recordings.
@@ -79,6 +72,8 @@ def diagnose(
         Recordings of one device; ``factory`` with ``angular_gain_kappa``, ``nominal_f0_hz`` and ``nominal_q``.
     without : iterable of str
         Effects that the registry shall not hold (blind trials).
+    healthy : HealthySpread, optional
+        How large what no one calls a gap is on devices of this fleet (`fleet.py`); as of any device where it is not given.
     on_progress : callable, optional
         (fraction, what is done).
 
@@ -88,17 +83,19 @@ def diagnose(
         Recordings that contradict their attributes or themselves: names the recording and the remedy.
     """
     try:
-        return _diagnose(campaign, tuple(without), on_progress or (lambda fraction, text: None))
+        return _diagnose(campaign, tuple(without), healthy or HealthySpread(), on_progress or (lambda fraction, text: None))
     except np.linalg.LinAlgError as error:
         said = f"{campaign.device_id} must tell a linear device and its noise, but the equations have no solution ({error})"
         raise DataError(f"Recordings of {said}. Record with all the converters' steps: columns of a few values do that.") from error
 
 
-def _diagnose(campaign: Campaign, left_out: tuple[str, ...], report: Callable[[float, str], None]) -> Diagnosis:
+def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpread, report: Callable[[float, str], None]) -> Diagnosis:
     begun = time.monotonic()
     kappa, f0, q = (_factory(campaign, name) for name in ("angular_gain_kappa", "nominal_f0_hz", "nominal_q"))
     recordings, warnings = checked(campaign, kappa, math.pi * f0 / q)
-    model = look_at(recordings, math.pi * f0 / q, kappa, without=left_out, on_progress=lambda f, text: report(0.7 * f, text))
+    model = look_at(
+        recordings, math.pi * f0 / q, kappa, without=left_out, healthy=healthy, on_progress=lambda f, text: report(0.7 * f, text)
+    )
     late = [*said_late(model.evidence, model.late_s), *said_sensor_late(model.sensor_s)]
     warnings += [*said_of_decay(model.linear.A, math.pi * f0 / q), *late]
     report(0.7, "selecting effects")
@@ -145,7 +142,7 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], report: Callable[[f
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
-        summary=_summary(verdict, effects, unknown, shrunk, lines),
+        summary=summary_of(verdict, effects, unknown, shrunk, lines),
         effects=effects,
         unknown=unknown,
         map=gap_map(model, model.base),
@@ -174,7 +171,7 @@ def _estimate(model: CampaignModel, rich: Solution, kappa: float) -> PatchedEsti
     evidence = model.evidence
     return PatchedEstimate(
         linear.A, linear.G, linear.E, evidence.omega0_rad_s, evidence.temperature_degc,
-        linear.frequency_slope_rad_s_k, kappa, values,
+        linear.frequency_slope_rad_s_k, kappa, values, coefficients_of(rich, evidence.healthy),
     )  # fmt: skip
 
 
@@ -348,46 +345,3 @@ def _gap(model: CampaignModel, rich: Solution, shrunk: Shrinkage) -> Gap:
         scale_after=Quantity(0.0, scale_sd / PPM, "ppm"),
         experiments=shrunk.labels,
     )
-
-
-def _summary(
-    verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | None, shrunk: Shrinkage, lines: tuple[Standing, ...] = ()
-) -> str:
-    if verdict == "none":
-        untested = sum(s.status == "not testable" for s in lines)
-        but = f", but {untested} of {len(lines)} effects cannot be tested with these recordings: see the list of those not testable"
-        explained = f"None: the linear device explains all {shrunk.dof} unseen figures to {shrunk.rms_before:.2f} of their noise"
-        return f"{explained}{but if untested > _MUCH_UNTESTED * len(lines) else ''}."
-    if verdict == "not_testable":
-        return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
-    if unknown is not None:
-        something = f"Beside {' and '.join(e.name for e in effects)}, by far the larger, something" if effects else "Something"
-        return f"{something} that is not in the catalogue, {unknown.words()} (nearest known: {unknown.nearest or 'none'})."
-    words = []
-    for e in effects:
-        others = [name for name in e.group if name != e.name]
-        size = ", ".join(f"{k} = {_said(q)}" for k, q in e.parameters.items())
-        alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
-        words.append(f"{e.name} ({size}), or {alike}")
-    beside = {name for names, _ in _PLACES for name in names}
-    if all(e.name in beside for e in effects):
-        places = [place for names, place in _PLACES if any(e.name in names for e in effects)]
-        return f"Present: {'; and '.join(words)}. It stands {' and '.join(places)}, and leaves the means of the slow flow alone."
-    if all(e.name in beside.union(SAMPLED) for e in effects):
-        return f"Present: {'; and '.join(words)}. How much of the gap it closes no form of the slow flow tells."
-    present = f"Present: {'; and '.join(words)}."
-    if shrunk.told_sd > _UNKNOWN_SHARE:
-        return f"{present} How much of the gap it closes, the experiments that it was not found on are too few to tell."
-    return f"{present} It closes {100.0 * min(shrunk.told, 1.0):.1f} % of the gap on experiments that it was not found on."
-
-
-def _said(q: Quantity) -> str:
-    """To the second digit of its standard deviation."""
-    unit = "" if q.unit == "1" else f" {q.unit}"
-    if not (q.sd > 0.0 and math.isfinite(q.sd)):
-        return f"{q.value:.3g} ± {q.sd:.2g}{unit}"
-    last = math.floor(math.log10(q.sd)) - 1
-    # no minus before nothing
-    value = round(q.value, -last) + 0.0
-    digits = max(math.floor(math.log10(abs(value))) - last + 1, 1) if value else 1
-    return f"{value:.{digits}g} ± {q.sd:.2g}{unit}"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..quantity import Quantity
+from .fleet import Coefficients
 from .gap_map import Cell
 
 __all__ = ["SCHEMA", "Alternative", "Diagnosis", "FoundEffect", "Gap", "NextExperiment", "Standing", "Unknown"]
@@ -248,6 +249,8 @@ class PatchedEstimate:
     omega0_rad_s, temperature_degc, frequency_slope_rad_s_k, angular_gain : float
     values : mapping of str to float
         Every unknown of the fit by name (temperature coefficients among them).
+    coefficients : Coefficients or None
+        Those that a healthy device has, by which a fleet tells how large they are.
     """
 
     A: NDArray[np.complex128]
@@ -258,6 +261,7 @@ class PatchedEstimate:
     frequency_slope_rad_s_k: float
     angular_gain: float
     values: Mapping[str, float]
+    coefficients: Coefficients | None = None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..estimation.wave import wave_coordinates
 from ..estimation.wave_lines import role_of
 from ..estimation.wave_projection import Products, WaveProjected, in_wave_frame, thinning
 from ..recording.recording import Recording
+from .healthy import HealthySpread
 from .lines import lines_of
 from .noise_law import IN_PHASE, Grams, Lines
 from .signals import WARMING_K, Projector, Signals, smooth_temperature
@@ -191,6 +192,8 @@ class CampaignEvidence:
         What temperatures are counted from.
     phase_floors : tuple of float
         Of the x and y pick-offs' phases [rad^2/Hz], where they are more than a healthy device's.
+    healthy : HealthySpread
+        How large what no one calls a gap is on a device of this kind.
     """
 
     recordings: tuple[RecordingEvidence, ...]
@@ -198,10 +201,11 @@ class CampaignEvidence:
     decay_rate: float
     temperature_degc: float
     phase_floors: tuple[float, float] = (0.0, 0.0)
+    healthy: HealthySpread = field(default_factory=HealthySpread)
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], decay_rate: float) -> CampaignEvidence:
-        """Project recordings."""
+    def of(cls, recordings: Sequence[Recording], decay_rate: float, healthy: HealthySpread | None = None) -> CampaignEvidence:
+        """Project recordings; ``healthy``: as of any device where it is not given."""
         closed = [r for r in recordings if in_wave_frame(r)]
         temperature = float(np.median([np.median(r.temperature_degc) for r in recordings]))
         omega0 = float(np.median([np.median(r.ref_omega_rad_s) for r in closed]))
@@ -214,7 +218,8 @@ class CampaignEvidence:
                 before = None
             found[int(i)] = _evidence(int(i), recordings[i], omega0, decay_rate, temperature, (start, end), before)
             before = found[int(i)].signals
-        return cls(tuple(found[i] for i in range(len(recordings))), omega0, decay_rate, temperature)
+        projected = tuple(found[i] for i in range(len(recordings)))
+        return cls(projected, omega0, decay_rate, temperature, healthy=healthy or HealthySpread())
 
     def replaced(self, recordings: Mapping[int, Recording]) -> CampaignEvidence:
         """With some recordings, by index, projected again from what stands in their place."""

@@ -23,6 +23,7 @@ from .evidence import CHANNELS, CampaignEvidence
 from .flickers import flickers
 from .floors import course_beside_floors, hidden_by_floors
 from .flow_left import flows_left
+from .healthy import HealthySpread
 from .linear_device import target_of
 from .missing import missing_of, needed_by
 from .monomials import LATE, RISING, WARM_FED
@@ -147,6 +148,7 @@ def look_at(
     angular_gain: float,
     *,
     without: Iterable[str] = (),
+    healthy: HealthySpread | None = None,
     on_progress: Callable[[float, str], None] | None = None,
 ) -> CampaignModel:
     """Project a campaign, measure its noise with everything allowed for, fit the nuisances.
@@ -160,12 +162,14 @@ def look_at(
         kappa of the factory.
     without : iterable of str
         Effects that the registry shall not hold.
+    healthy : HealthySpread, optional
+        How large what no one calls a gap is on a device of this fleet; of any device where it is not given.
     on_progress : callable, optional
         (fraction, what is done).
     """
     report = on_progress or (lambda fraction, text: None)
     report(0.0, "projecting")
-    evidence = CampaignEvidence.of(recordings, decay_rate)
+    evidence = CampaignEvidence.of(recordings, decay_rate, healthy)
     report(0.25, "fitting the linear device")
     wander, most = _WANDER * evidence.omega0_rad_s, MOST_WANDER * evidence.omega0_rad_s
     linear, rough = first_linear(evidence, angular_gain, wander)

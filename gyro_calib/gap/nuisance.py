@@ -25,7 +25,6 @@ from .signals import SMOOTH_S
 __all__ = [
     "BOTH_DRIVES_LATE",
     "BOTH_PICKOFFS",
-    "GAIN_PER_K",
     "NOTICED_K",
     "SWITCHED",
     "following_columns",
@@ -36,36 +35,17 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-#: temperature coefficients of healthy devices, sd [1/K]: gains that both axes have alike; phases, a tenth of a radian of filters whose
-#: parts move by 150 ppm/K; damping relative
-GAIN_PER_K, _PHASE_PER_K, _DAMPING_PER_K = 3e-4, 1.5e-5, 5e-3
-#: a split by its own size [1/K]: what trims and gaps left of larger ones, each with a coefficient of its own
-_SPLIT_PER_K = 1e-3
 #: how the name of what both axes have alike begins
 _BOTH = "both_"
 BOTH_PICKOFFS, BOTH_DRIVES_LATE = f"{_BOTH}thermal_pickoff_gain", f"{_BOTH}drive_delay"
-#: gain of one axis by itself over that of both, which are of one design: references and resistors of one lot part by tens of ppm/K; drives
-#: of two plants by other hands by 60 and 120
-_UNLIKE_PER_K = 0.25
-#: damping that does not go as all of it does, over its anisotropy and over the damping [1/K]
-_OTHERWISE_PER_K, _OTHERWISE_OF_ALL_PER_K = 1e-3, 1e-6
+#: damping that does not go as all of it does, of the damping, over what it is of its anisotropy
+_OTHERWISE_OF_ALL = 1e-3
 #: least damping of a device over the factory's
 _LEAST_DAMPING = 0.5
-#: of what feeds through, of itself [1/K]: strays by way of a board, whose permittivity moves by some 300 ppm/K
-_FED_PER_K = 3e-4
-#: relative curvature of the damping [1/K^2]
-_DAMPING_PER_K2 = 3e-5
-#: drives that are late carrier and all, by some samples of the converters [s]
-_LAG_S = 3e-5
-#: an envelope later than its record [s]: a sample of the converters, that firmware, filters and holds count or do not; of 31 healthy
-#: devices of two plants none lagged by 3e-6, and every ring of another led by one of its samples, 8.3e-6
-_LATE_S = 1e-5
 #: how equal drives are that shift the reference and that turn an envelope, gain and phase [rad]
 _OF_STIFFNESS = 1e-5
 #: drift of the resonance over a campaign in units of its wander; constant volts that reach a drive besides the command [V]
 _SLOW, _STRAY_DRIVE_V = 3.0, 5e-6
-#: how late a temperature sensor is behind the resonator, and behind what warms elsewhere [s]
-_SENSOR_LAG_S, _GRADIENT_LAG_S = 0.1, 0.3
 #: modes in which a drive is switched within a recording, and over its median change a step
 SWITCHED, _ABRUPT = ("ring_down", "ring_up", "stiffness"), 10.0
 #: rows of one step lie within that time [s]; more steps than this in a recording are noise
@@ -155,7 +135,7 @@ def _damping(evidence: CampaignEvidence, linear: Linear) -> float:
 def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """How a healthy device follows its temperature, and a record that is late."""
     columns: list[Column] = []
-    columns += _form(evidence, linear, "drive_lag", {"tau": _LATE_S})
+    columns += _form(evidence, linear, "drive_lag", {"tau": evidence.healthy.envelope_lag_s})
     columns += ripple_columns(evidence, linear)
     columns += _blurred_records(evidence, linear)
     columns += _kicks(evidence, linear)
@@ -164,11 +144,11 @@ def thermal_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     if span_k(evidence) < NOTICED_K:
         return columns
     # the carrier is as late as its envelope, and its phase follows the frequency: 1e-4 rad/K of a hemisphere
-    columns += _of_both(evidence, linear, "drive_delay", _LAG_S)
-    columns += _form(evidence, linear, "thermal_lag", {"tau": _SENSOR_LAG_S})
+    columns += _of_both(evidence, linear, "drive_delay", evidence.healthy.drive_lag_s)
+    columns += _form(evidence, linear, "thermal_lag", {"tau": evidence.healthy.sensor_lag_s})
     columns += _blurred_temperature(evidence, linear)
-    damping = _damping(evidence, linear)
-    columns += collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], _DAMPING_PER_K2 * damping, real=True)
+    bent = evidence.healthy.damping_per_k2 * _damping(evidence, linear)
+    columns += collected("damping_per_k2", evidence, lambda r, p: p.terms["warm2"][:, 0], bent, real=True)
     return columns + _warm_feedthrough(evidence, linear) + following_columns(evidence, linear)
 
 
@@ -182,27 +162,27 @@ def _warm_feedthrough(evidence: CampaignEvidence, linear: Linear) -> list[Column
             fed = abs(linear.E[j, k]) * warm * drive[:, [k]] * np.eye(2)[j]
             parts += [Part(f"fed_per_k_{'xy'[j]}{'xy'[k]}{name}", "output", q * fed) for name, q in (("c", 1.0), ("s", 1j))]
         by_recording.append(parts)
-    return [replace(c, prior_sd=_FED_PER_K) for c in part_columns(evidence, by_recording, linear)]
+    return [replace(c, prior_sd=evidence.healthy.feedthrough_per_k) for c in part_columns(evidence, by_recording, linear)]
 
 
 def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """What follows the temperature of the moment, but for the resonance."""
-    damping = _damping(evidence, linear)
-    split = 2.0 * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
+    damping, healthy = _damping(evidence, linear), evidence.healthy
+    split = healthy.split_per_frequency * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
     unequal = linear.A - np.eye(2) * np.trace(linear.A) / 2.0
     anisotropy, lossy = np.abs(unequal).max(), float(np.abs(unequal.real).max())
-    columns = _form(evidence, linear, "thermal_damping", {"c": _DAMPING_PER_K * damping})
-    columns += _scaled(evidence, linear, unequal.real, "anisotropy_per_k", _DAMPING_PER_K)
-    columns += _scaled(evidence, linear, 1j * _split_of(linear), "split_per_k", _SPLIT_PER_K)
-    sd = _OTHERWISE_PER_K * lossy + _OTHERWISE_OF_ALL_PER_K * damping
+    columns = _form(evidence, linear, "thermal_damping", {"c": healthy.damping_per_k * damping})
+    columns += _scaled(evidence, linear, unequal.real, "anisotropy_per_k", healthy.damping_per_k)
+    columns += _scaled(evidence, linear, 1j * _split_of(linear), "split_per_k", healthy.split_per_k)
+    sd = healthy.damping_axis_per_k * (lossy + _OTHERWISE_OF_ALL * damping)
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
     columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
     for name in ("thermal_drive_gain", "thermal_pickoff_gain"):
-        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _UNLIKE_PER_K * GAIN_PER_K))
-        columns += _of_both(evidence, linear, name, GAIN_PER_K)
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), healthy.axis_gain_per_k))
+        columns += _of_both(evidence, linear, name, healthy.gain_per_k)
     for name in ("thermal_drive_phase", "thermal_pickoff_phase"):
-        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), _PHASE_PER_K))
-    return columns + _gradient_columns(evidence, linear, unequal.real, _DAMPING_PER_K * (lossy + 1e-3 * damping))
+        columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), healthy.phase_per_k))
+    return columns + _gradient_columns(evidence, linear, unequal.real, healthy.damping_per_k * (lossy + _OTHERWISE_OF_ALL * damping))
 
 
 def _scaled(evidence: CampaignEvidence, linear: Linear, unequal: NDArray[Any], name: str, per_k: float) -> list[Column]:
@@ -252,13 +232,13 @@ def _gradient_columns(evidence: CampaignEvidence, linear: Linear, unequal: Float
             Part("rate_per_k", "flow", across),
         ]
         by_recording.append(parts)
-    damping = _damping(evidence, linear)
-    sizes = {"gradient_damping": _DAMPING_PER_K * damping * _GRADIENT_LAG_S, "rate_per_k": rate_per_k}
-    sizes |= {"gradient_split": _SPLIT_PER_K * _GRADIENT_LAG_S, "gradient_anisotropy": _DAMPING_PER_K * _GRADIENT_LAG_S}
-    sizes |= dict.fromkeys(("gradient_phase_x", "gradient_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
-    sizes |= dict.fromkeys(("gradient_pickoff_phase_x", "gradient_pickoff_phase_y"), _PHASE_PER_K * _GRADIENT_LAG_S)
+    healthy, lag_s = evidence.healthy, evidence.healthy.gradient_lag_s
+    sizes = {"gradient_damping": healthy.damping_per_k * _damping(evidence, linear) * lag_s, "rate_per_k": rate_per_k}
+    sizes |= {"gradient_split": healthy.split_per_k * lag_s, "gradient_anisotropy": healthy.damping_per_k * lag_s}
+    phases = ("gradient_phase_x", "gradient_phase_y", "gradient_pickoff_phase_x", "gradient_pickoff_phase_y")
+    sizes |= dict.fromkeys(phases, healthy.phase_per_k * lag_s)
     found = part_columns(evidence, by_recording, linear)
-    return [replace(c, prior_sd=sizes.get(c.name, GAIN_PER_K * _GRADIENT_LAG_S)) for c in found]
+    return [replace(c, prior_sd=sizes.get(c.name, healthy.gain_per_k * lag_s)) for c in found]
 
 
 def slow_columns(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float) -> list[Column]:

@@ -27,7 +27,7 @@ from .diagnosis import Diagnosis, PatchedEstimate
 from .drifts import BENT
 from .forms import GRADIENT_DAMPS
 
-__all__ = ["check_kind", "constant_rate", "patch_notes", "patched_device", "with_factory_data"]
+__all__ = ["ONE_KIND", "check_kind", "constant_rate", "patch_notes", "patched_device", "with_factory_data"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -47,7 +47,7 @@ _THERMAL = (
 #: and what of that is a nuisance under another name
 _RENAMED = {"thermal_frequency_curvature": "frequency_per_k2", "thermal_damping_curvature": "damping_per_k2", "thermal_bias": "rate_per_k"}
 #: share by which nominal frequencies of one design differ at most: units of one come out within percents
-_ONE_KIND = 0.2
+ONE_KIND = 0.2
 #: is there when the temperature moved enough to fit how the device follows it
 _WARMED = "thermal_drive_gain.g_x"
 #: coefficients of a device file that are effects of the registry under another name
@@ -78,7 +78,7 @@ def check_kind(device: Device, factory: Mapping[str, Any]) -> None:
         The nominal frequencies are those of two kinds of gyro.
     """
     stated, described = factory.get("nominal_f0_hz"), device.factory_data.nominal_f0_hz
-    if isinstance(stated, int | float) and stated > 0.0 and abs(described - stated) > _ONE_KIND * stated:
+    if isinstance(stated, int | float) and stated > 0.0 and abs(described - stated) > ONE_KIND * stated:
         raise DeviceError(
             f"Device description must be of the gyro that was recorded, with a nominal frequency of about {stated:g} Hz, but got "
             f"{device.device_id!r} of {described:g} Hz: another kind of gyro. Give --device the description of this one."

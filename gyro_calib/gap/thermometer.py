@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from .column import Column
 from .evidence import CampaignEvidence, RecordingEvidence
 from .linear_device import span_k
-from .nuisance import BOTH_PICKOFFS, GAIN_PER_K, NOTICED_K, following_columns
+from .nuisance import BOTH_PICKOFFS, NOTICED_K, following_columns
 from .parts import Linear, motion, unexplained
 from .signals import SMOOTH_S, with_temperature
 
@@ -87,7 +87,7 @@ def own_columns(evidence: CampaignEvidence, linear: Linear, values: Mapping[str,
     """
     sizes, slope = values, linear.frequency_slope_rad_s_k
     if span_k(evidence) < NOTICED_K or not slope:
-        sizes, slope = {BOTH_PICKOFFS: GAIN_PER_K}, _LEAST_PER_K * evidence.omega0_rad_s
+        sizes, slope = {BOTH_PICKOFFS: evidence.healthy.gain_per_k}, _LEAST_PER_K * evidence.omega0_rad_s
     own = [replace(r, signals=with_temperature(r.signals, own_detuning_rad_s(r, linear, values) / slope)) for r in evidence]
     found = [c for c in following_columns(replace(evidence, recordings=tuple(own)), linear) if sizes.get(c.name)]
     if not found:

@@ -32,6 +32,7 @@ class CalibrationSettings:
     autosave: bool
     apply_compensation: bool
     artifacts_dir: str
+    fleet: str
 
     @property
     def limits(self) -> Limits:
@@ -73,6 +74,8 @@ def declare_parameters(node: Any) -> CalibrationSettings:
     text = "Put the drive compensation of the calibration in force on a gyro that starts without one, and on revert; otherwise that is said"
     node.declare_parameter("apply_compensation", True, describe(text))
     node.declare_parameter("artifacts_dir", "", describe("Folder for the recordings of each run, <run id>/campaign.h5; empty: not kept"))
+    text = "File of gyro-calib fleet, of healthy units of this kind, for diagnose_gap; empty: a unit is judged as any device"
+    node.declare_parameter("fleet", "", describe(text))
     settings = read_parameters(node)
     _check_quality(settings.plan_quality)
     return settings

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..calibration import FactoryStore, with_factory_record
 from ..calibration.compensation_rounds import Leg
@@ -21,8 +22,9 @@ from .run_manager import Outcome, RunHandle
 
 if TYPE_CHECKING:
     from ..gap import Diagnosis
+    from ..gap.healthy import HealthySpread
 
-__all__ = ["GapRun"]
+__all__ = ["GapRun", "healthy_of_fleet"]
 
 #: wait for another writer beside the records [s]
 _LOCK_TIMEOUT_S = 10.0
@@ -43,10 +45,15 @@ class GapRun(RecordingRun):
         The file of the gyro's records; ``<stem>.gap.json`` and ``<stem>.gap.html`` are written beside it, the last diagnosis only.
     artifacts : Path, optional
         As of :class:`.recording_run.RecordingRun`.
+    healthy : HealthySpread, optional
+        What healthy units of this kind have.
     """
 
-    def __init__(self, instrument: Instrument, plan: Plan, *, beside: Path, artifacts: Path | None = None) -> None:
+    def __init__(
+        self, instrument: Instrument, plan: Plan, *, beside: Path, artifacts: Path | None = None, healthy: HealthySpread | None = None
+    ) -> None:
         super().__init__(instrument, plan, artifacts)
+        self._healthy = healthy
         self._leg = Leg(1, plan, 0.0, plan.duration_s + _DIAGNOSIS_S)
         self._beside = beside
 
@@ -55,7 +62,7 @@ class GapRun(RecordingRun):
         rest = replace(self._plan.final, compensation=compensation_in_force(self._instrument))
         campaign = self._record(run, rest)
         self._write(run, campaign)
-        diagnosis = _diagnosed(run, campaign, self._leg.fraction(1.0))
+        diagnosis = _diagnosed(run, campaign, self._healthy, self._leg.fraction(1.0))
         run.commit()
         for sentence in self._plan.left_out:
             run.note(sentence)
@@ -81,7 +88,24 @@ class GapRun(RecordingRun):
         return written
 
 
-def _diagnosed(run: RunHandle, campaign: Campaign, recorded: float) -> Diagnosis:
+def healthy_of_fleet(path: str, factory: Mapping[str, Any]) -> HealthySpread | None:
+    """What the units of a fleet's file have, None without a file.
+
+    Raises
+    ------
+    DataError
+        The file is none, or of another kind of gyro.
+    """
+    if not path:
+        return None
+    from ..gap.fleet_file import read_fleet  # with the registry behind it, which takes a moment to load
+
+    fleet = read_fleet(Path(path).expanduser())
+    fleet.check_kind(factory)
+    return fleet.healthy
+
+
+def _diagnosed(run: RunHandle, campaign: Campaign, healthy: HealthySpread | None, recorded: float) -> Diagnosis:
     """The diagnosis, which takes the run from the part ``recorded`` to its end."""
     from ..gap import diagnose  # takes a moment to load, and no other run needs it
 
@@ -96,7 +120,7 @@ def _diagnosed(run: RunHandle, campaign: Campaign, recorded: float) -> Diagnosis
 
     told(0.0, "reading")
     factory = FactoryStore(None, campaign.device_id).load()
-    return diagnose(with_factory_record(campaign, factory), on_progress=told)
+    return diagnose(with_factory_record(campaign, factory), healthy=healthy, on_progress=told)
 
 
 def _facts(diagnosis: Diagnosis) -> dict[str, str]:
