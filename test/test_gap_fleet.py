@@ -17,9 +17,9 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.fleet import Coefficients, _log_evidence, fleet_sizes, fleet_spread
+from gyro_calib.gap.fleet import Coefficients, _evidence, fleet_sizes, fleet_spread
 from gyro_calib.gap.fleet_file import read_fleet, write_fleet
-from gyro_calib.gap.healthy import FIELD_OF, HealthySpread
+from gyro_calib.gap.healthy import _SIZE_OF, HealthySpread
 from gyro_calib.gap.units import Unit, fleet_of
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
@@ -34,9 +34,8 @@ def told_unit(size: float, rng: np.random.Generator, sd: float = 0.01, damping: 
     truth = np.array([*(size * rng.standard_normal(4)), damping * rng.standard_normal()])
     design = np.array([[1.0, 0, 1, 0, 0], [0, 1, 0, 1, 0], [0, 0, 0, 0, 1]]) / sd
     seen = design @ truth + rng.standard_normal(3)
-    covariance = np.linalg.inv(np.eye(5) + design.T @ design)
     sizes = ("axis_gain_per_k",) * 4 + ("damping_per_k",)
-    return Coefficients((*GAINS, "thermal_damping.c"), sizes, covariance @ design.T @ seen, covariance)
+    return Coefficients((*GAINS, "thermal_damping.c"), sizes, design.T @ design, design.T @ seen)
 
 
 # -- the evidence of a size ---------------------------------------------------------------------------------------------------------------
@@ -45,20 +44,27 @@ def told_unit(size: float, rng: np.random.Generator, sd: float = 0.01, damping: 
 @pytest.mark.parametrize("size", [0.05, 0.4, 2.0])
 def test_evidence_of_a_size_is_the_integral_over_the_coefficients(size: float) -> None:
     """Closed form against quadrature: likelihood = posterior over prior, times the other prior."""
-    covariance = np.array([[0.30, -0.12], [-0.12, 0.20]])
-    values = np.array([0.35, -0.1])
-    unit = Coefficients(("a", "b"), ("gain_per_k",) * 2, values, covariance)
-    inverse = np.linalg.inv(covariance)
+    precision, likeliest = np.array([[4.0, 1.5], [1.5, 6.0]]), np.array([0.35, -0.1])
+    unit = Coefficients(("a", "b"), ("gain_per_k",) * 2, precision, precision @ likeliest)
 
     def integrand(y: float, x: float) -> float:
-        away = np.array([x, y]) - values
-        return math.exp(-0.5 * away @ inverse @ away + 0.5 * (x * x + y * y)) * norm.pdf(x, 0.0, size) * norm.pdf(y, 0.0, size)
+        away = np.array([x, y]) - likeliest
+        return math.exp(-0.5 * away @ precision @ away) * norm.pdf(x, 0.0, size) * norm.pdf(y, 0.0, size)
 
-    # against the evidence of a size of next to nothing, which is the likelihood at zero
-    integral, _ = dblquad(integrand, -6.0, 6.0, -6.0, 6.0)
-    at_zero = math.exp(-0.5 * values @ inverse @ values)
-    matrix, vector = unit.information()
-    assert _log_evidence(np.full(2, size), matrix, vector) == pytest.approx(math.log(integral / at_zero), abs=1e-5)
+    reach = min(8.0 * size, 6.0)
+    integral, _ = dblquad(integrand, -reach, reach, -reach, reach)
+    # over the likelihood of nothing
+    at_zero = math.exp(-0.5 * likeliest @ precision @ likeliest)
+    found, _ = _evidence(unit, np.full(2, size))
+    assert found == pytest.approx(math.log(integral / at_zero), abs=1e-5)
+
+
+def test_its_slopes_are_those_of_differences() -> None:
+    unit, sd, step = told_unit(0.3, np.random.default_rng(9)), np.array([0.2, 0.5, 0.1, 0.3, 0.7]), 1e-5
+    _, slopes = _evidence(unit, sd)
+    for k in range(5):
+        up, down = (_evidence(unit, sd * np.exp(s * step * (np.arange(5) == k)))[0] for s in (1.0, -1.0))
+        assert slopes[k] == pytest.approx((up - down) / (2.0 * step), rel=1e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize("size", [0.03, 0.3])
@@ -78,10 +84,10 @@ def test_bounds_are_kept_by_nineteen_of_twenty_fleets(size: float) -> None:
 
 
 def test_what_only_sums_tell_is_told_of_the_parts() -> None:
-    """Each part by itself has the posterior of half its prior whatever the sums are; marginals would call that the size."""
+    """Each part by itself has half of its prior as a posterior, whatever the sums are; marginals would call that the size."""
     rng = np.random.default_rng(1)
     units = [told_unit(0.02, rng) for _ in range(6)]
-    assert all(0.6 < math.sqrt(unit.covariance[0, 0]) < 0.8 for unit in units)
+    assert all(0.6 < math.sqrt(np.linalg.inv(np.eye(5) + unit.precision)[0, 0]) < 0.8 for unit in units)
     (gain, _) = fleet_sizes(units)
     assert gain.is_told
     assert gain.bound < 0.05 * gain.usual
@@ -106,7 +112,7 @@ def test_two_units_are_no_fleet_and_a_fleet_without_a_temperature_run_says_nothi
     rng = np.random.default_rng(4)
     with pytest.raises(ValueError, match="3 units or more, but got 2"):
         fleet_sizes([told_unit(0.1, rng) for _ in range(2)])
-    nothing = Coefficients((), (), np.zeros(0), np.zeros((0, 0)))
+    nothing = Coefficients((), (), np.zeros((0, 0)), np.zeros(0))
     with pytest.raises(ValueError, match="temperature moves"):
         fleet_sizes([nothing] * 3)
 
@@ -121,7 +127,7 @@ def test_sizes_are_positive(size: object) -> None:
 
 
 def test_every_size_is_that_of_a_column() -> None:
-    assert set(FIELD_OF.values()) == set(HealthySpread.__dataclass_fields__)
+    assert set(_SIZE_OF.values()) == set(HealthySpread.__dataclass_fields__)
 
 
 def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -240,7 +246,11 @@ def test_coefficients_are_over_the_usual_sizes_whatever_stood_in_the_fit() -> No
     one, other = by_default.estimate.coefficients, told.estimate.coefficients
     assert one is not None
     assert other is not None
+    assert one.names == other.names
     k = one.names.index("thermal_damping.c")
-    assert other.names[k] == "thermal_damping.c"
-    # told by the recordings, so alike; of the usual prior in units of one
-    assert other.values[k] == pytest.approx(one.values[k], rel=0.02)
+    # of a known coefficient, alike; of the usual size in units of one
+    assert other.precision[k, k] == pytest.approx(one.precision[k, k], rel=0.05)
+    assert other.information[k] == pytest.approx(one.information[k], rel=0.05)
+    # drifts, which have their own size in a fit, over the largest that they may have
+    k = one.names.index("drift.gain.x.1")
+    assert one.precision[k, k] > 1.0

@@ -118,6 +118,35 @@ def test_what_rebalance_holds_is_found() -> None:
     assert _status(loop_effects(recordings, {"dac_full_scale_V": 1e-3}))["loop_error"] == "not testable"
 
 
+def _columns_scaled(recordings: Sequence[Recording], scale: float) -> list[Recording]:
+    return [replace(r, data=r.data * np.where(np.isin(np.arange(12), (2, 3, 4, 5)), 1.0 + scale, 1.0)) for r in recordings]
+
+
+@pytest.mark.parametrize("scale", [1.05e-3, -6e-4])
+def test_columns_of_another_scale_than_the_loops_reading_are_no_error_of_the_loops(scale: float) -> None:
+    """A filter before the demodulators of a thirtieth plant: every healthy unit had an error of its loops."""
+    commands = [Command("ftr_x"), Command("ftr_y"), Command("ftr_x", setpoints=Setpoints(amplitude_v=0.6))]
+    cold = records(ring(), commands, 5.0, noisy=True)
+    warm = [replace(r, data=r.data + 8.0 * (np.arange(12) == 11)) for r in cold]
+    found = loop_effects(_columns_scaled([*cold, *warm], scale), {})
+    assert not found.effects
+    assert _status(found)["loop_error"] == "excluded"
+    assert f"{1.0 + scale:.6f}"[:6] in found.warnings[0]
+    # too little, and no warm record to tell a loop without an integrator from: its error stays one
+    assert bool(loop_effects(_columns_scaled(cold, scale), {}).effects) is (scale < 0.0)
+    # and so does one that goes with the damping, or with the axis
+    gone = [*_columns_scaled(cold, scale), *_columns_scaled(warm, 1.02 * scale)]
+    (error,) = loop_effects(gone, {}).effects
+    assert error.parameters["a"].value == pytest.approx(scale, rel=0.03)
+    assert not loop_effects(cold, {}).warnings
+
+
+def test_an_amplitude_that_errs_beside_another_error_is_the_loops() -> None:
+    recordings = records(ring(a=1e-3, q=5e-4), [Command("ftr_x"), Command("ftr_y")], 5.0, noisy=True)
+    (found,) = loop_effects(recordings, {}).effects
+    assert found.parameters["a"].value == pytest.approx(1e-3, rel=0.02)
+
+
 def test_a_control_of_five_periods_is_late_only_where_the_factory_says_less() -> None:
     """Overlapping windows, periods of computing, a pole of the amplifier: hemispheres of two plants by other hands had 2.2 to 5.6."""
     plain = sphere()

@@ -132,6 +132,7 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
     if (loud := loudest(model, rich)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())
+    warnings = [*warnings, *loops.warnings]
     # of the slow flow, and of what no name fits in it, what the loops hold says nothing
     effects += loops.effects + circulatory
     verdict = _verdict(effects, unknown, lines)
@@ -171,7 +172,7 @@ def _estimate(model: CampaignModel, rich: Solution, kappa: float) -> PatchedEsti
     evidence = model.evidence
     return PatchedEstimate(
         linear.A, linear.G, linear.E, evidence.omega0_rad_s, evidence.temperature_degc,
-        linear.frequency_slope_rad_s_k, kappa, values, coefficients_of(rich, evidence.healthy),
+        linear.frequency_slope_rad_s_k, kappa, values, coefficients_of(rich, evidence.healthy, model.largest),
     )  # fmt: skip
 
 

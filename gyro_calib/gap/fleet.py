@@ -7,14 +7,15 @@ unit at once, for those that only their sum or product tells (a drive's gain and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 
-from .healthy import FIELD_OF, HealthySpread
+from .healthy import HealthySpread, size_of
+from .sizes import log_evidence, what_data_say
 from .system import Solution
 
 __all__ = ["FEWEST_UNITS", "Coefficients", "FleetSize", "coefficients_of", "fleet_sizes", "fleet_spread"]
@@ -23,15 +24,15 @@ FloatArray = NDArray[np.float64]
 
 #: units from which on a fleet is one
 FEWEST_UNITS = 3
-#: smallest and largest size asked for, over that of any device
-_LEAST, _MOST = 1e-3, 10.0
+#: smallest and largest size asked for, and where the search begins, over that of any device
+_LEAST, _MOST, _START = 1e-3, 10.0, 0.3
 #: twice the log likelihood from the best size to the bound that nineteen of twenty fleets keep
 _BOUND = 2.7055
 
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Coefficients of one unit, each over the size that a healthy device was believed to have.
+    """What recordings of one unit say of its coefficients, each over the size that any device may have.
 
     Parameters
     ----------
@@ -39,9 +40,10 @@ class Coefficients:
         Of the columns.
     sizes : tuple of str
         The field of :class:`.healthy.HealthySpread` that each is of.
-    values : ndarray, shape (k,)
-    covariance : ndarray, shape (k, k)
-        With that prior, which is one.
+    precision : ndarray, shape (k, k)
+        Of all at once, no prior in it.
+    information : ndarray, shape (k,)
+        Precision times the likeliest coefficients.
 
     Raises
     ------
@@ -51,21 +53,14 @@ class Coefficients:
 
     names: tuple[str, ...]
     sizes: tuple[str, ...]
-    values: FloatArray
-    covariance: FloatArray
+    precision: FloatArray
+    information: FloatArray
 
     def __post_init__(self) -> None:
         k = len(self.names)
-        if len(self.sizes) != k or self.values.shape != (k,) or self.covariance.shape != (k, k):
-            raise ValueError(f"coefficients must be {k} of each, but got {len(self.sizes)}, {self.values.shape}, {self.covariance.shape}.")
-
-    def information(self) -> tuple[FloatArray, FloatArray]:
-        """What the recordings alone say: their information matrix and vector, the prior taken out."""
-        inverse = np.linalg.inv(self.covariance)
-        values, vectors = np.linalg.eigh((inverse + inverse.T) / 2.0 - np.eye(len(self.names)))
-        told = values > 1e-9
-        kept = (vectors * np.where(told, values, 0.0)) @ vectors.T
-        return kept, vectors[:, told] @ (vectors[:, told].T @ (inverse @ self.values))
+        if len(self.sizes) != k or self.information.shape != (k,) or self.precision.shape != (k, k):
+            shapes = f"{len(self.sizes)}, {self.precision.shape}, {self.information.shape}"
+            raise ValueError(f"coefficients must be {k} of each, but got {shapes}.")
 
 
 @dataclass(frozen=True)
@@ -93,7 +88,7 @@ class FleetSize:
         return self.bound < self.usual or self.likeliest > self.usual
 
 
-def coefficients_of(solution: Solution, healthy: HealthySpread) -> Coefficients:
+def coefficients_of(solution: Solution, healthy: HealthySpread, largest: Mapping[str, float]) -> Coefficients:
     """Those of a fit that have a prior of a healthy device's size.
 
     Parameters
@@ -101,18 +96,17 @@ def coefficients_of(solution: Solution, healthy: HealthySpread) -> Coefficients:
     solution : Solution
     healthy : HealthySpread
         Whose sizes stand in its priors.
+    largest : mapping
+        Priors of drifts at those sizes, by column: a fit has them as small as they are.
     """
-    field_of = [_field_of(c.name) for c in solution.columns]
-    places = [k for k, (c, name) in enumerate(zip(solution.columns, field_of, strict=True)) if name and np.isfinite(c.prior_sd)]
-    usual = HealthySpread()
-    # about the usual sizes, whichever stood in the fit
-    scale = np.array([getattr(usual, field_of[k]) / getattr(healthy, field_of[k]) * solution.columns[k].prior_sd for k in places])
-    return Coefficients(
-        tuple(solution.columns[k].name for k in places),
-        tuple(field_of[k] for k in places),
-        solution.values[places] / scale,
-        solution.covariance[np.ix_(places, places)] / np.outer(scale, scale),
-    )
+    columns, usual = solution.columns, HealthySpread()
+    places = [k for k, c in enumerate(columns) if size_of(c.name) and np.isfinite(c.prior_sd)]
+    names, sizes = tuple(columns[k].name for k in places), tuple(size_of(columns[k].name) for k in places)
+    precision, information = what_data_say(solution, places)
+    # in units of any device's size
+    prior = [columns[k].prior_sd for k in places]
+    by = [largest.get(n, p) * getattr(usual, s) / getattr(healthy, s) / p for n, s, p in zip(names, sizes, prior, strict=True)]
+    return Coefficients(names, sizes, precision * np.outer(by, by), information * np.array(by))
 
 
 def fleet_sizes(units: Sequence[Coefficients]) -> tuple[FleetSize, ...]:
@@ -133,13 +127,20 @@ def fleet_sizes(units: Sequence[Coefficients]) -> tuple[FleetSize, ...]:
     names = [f.name for f in fields(HealthySpread) if any(f.name in unit.sizes for unit in units)]
     if not names:
         raise ValueError("none of the units tells a coefficient: each needs a recording in which the temperature moves.")
-    told = [(_places(unit, names), *unit.information()) for unit in units]
+    told = [(_places(unit, names), unit) for unit in units]
 
-    def missed(logs: FloatArray) -> float:
-        return -sum(_log_evidence(np.exp(logs[places]), matrix, vector) for places, matrix, vector in told)
+    def missed(logs: FloatArray) -> tuple[float, FloatArray]:
+        """Log evidence of all units and its slopes, sign changed."""
+        value, slopes = 0.0, np.zeros(len(names))
+        for places, unit in told:
+            found, by_coefficient = _evidence(unit, np.exp(logs[places]))
+            value += found
+            np.add.at(slopes, places, by_coefficient)
+        return -value, -slopes
 
     low, high = np.log(_LEAST), np.log(_MOST)
-    best = minimize(missed, np.full(len(names), np.log(0.3)), method="L-BFGS-B", bounds=[(low, high)] * len(names))
+    start = np.full(len(names), np.log(_START))
+    best = minimize(missed, start, jac=True, method="L-BFGS-B", bounds=[(low, high)] * len(names))
     usual = HealthySpread()
     return tuple(
         FleetSize(
@@ -157,29 +158,24 @@ def fleet_spread(sizes: Sequence[FleetSize]) -> HealthySpread:
     return HealthySpread(**{size.name: size.bound for size in sizes if size.is_told})
 
 
-def _field_of(column: str) -> str:
-    """The size that a column's prior is of; "" for none."""
-    return next((name for begins, name in FIELD_OF.items() if column.startswith(begins)), "")
-
-
 def _places(unit: Coefficients, names: Sequence[str]) -> NDArray[np.int_]:
     return np.array([names.index(size) for size in unit.sizes], dtype=int)
 
 
-def _log_evidence(sizes: FloatArray, matrix: FloatArray, vector: FloatArray) -> float:
-    """Of priors of these sizes, by what the recordings alone say, but for a constant."""
-    scaled = np.eye(sizes.size) + sizes[:, None] * matrix * sizes[None, :]
-    factor = np.linalg.cholesky((scaled + scaled.T) / 2.0)
-    reached = np.linalg.solve(factor, sizes * vector)
-    return float(0.5 * reached @ reached - np.log(np.diag(factor)).sum())
+def _evidence(unit: Coefficients, sd: FloatArray) -> tuple[float, FloatArray]:
+    """Log evidence of priors of these sizes, and its slope by the logarithm of each: how much its coefficient's square is above that."""
+    scaled = sd[:, None] * unit.precision * sd[None, :]
+    posterior = np.linalg.inv(np.eye(sd.size) + scaled)
+    values = posterior @ (sd * unit.information)
+    return log_evidence(unit.precision, unit.information, sd), np.diag(posterior) + values**2 - 1.0
 
 
-def _bound_of(missed, best: FloatArray, k: int, high: float) -> float:  # type: ignore[no-untyped-def]
+def _bound_of(missed: Callable[[FloatArray], tuple[float, FloatArray]], best: FloatArray, k: int, high: float) -> float:
     """Where one size, the others as they are likeliest, is as unlikely as the bound is."""
 
     def beyond(log_size: float) -> float:
         moved = best.copy()
         moved[k] = log_size
-        return 2.0 * (missed(moved) - missed(best)) - _BOUND
+        return 2.0 * (missed(moved)[0] - missed(best)[0]) - _BOUND
 
     return high if beyond(high) < 0.0 else float(brentq(beyond, best[k], high, xtol=1e-3))

@@ -1,8 +1,8 @@
 """Effects of the loops, which the slow flow does not show: what they hold against their set points, and how late their drives turn.
 
 The slow flow takes drives and pick-offs as they were, whatever the loops had in mind. So these stand beside the effects of the fit: a loop
-with an integrator holds its set point (sixty-eight devices of three plants: to 6e-6), and a wave that turns tells the latency of
-its drives (:mod:`gyro_calib.estimation.latency`), of which the control alone has up to six periods.
+with an integrator holds its set point as its own reading has it (sixty-eight devices of three plants: to 6e-6), and a wave that turns tells
+the latency of its drives (:mod:`gyro_calib.estimation.latency`), of which the control alone has up to six periods.
 """
 
 from __future__ import annotations
@@ -32,6 +32,9 @@ LOOP_EFFECTS = ("loop_error", "angle_latency")
 
 #: what a loop may leave of its error after it has settled, of the amplitude (sd)
 _SETTLED = 1e-6
+#: an amplitude that misses its set point by another scale of columns and loop: at most, to what share of it alike in all records, and how
+#: far apart temperatures are that tell a loop by its damping [K], which goes by 1e-3/K and more
+_SCALE, _ALIKE, _APART_K = 1e-2, 5e-3, 4.0
 #: share of the converter's range from which on a drive is at its end, and no loop can hold what it holds
 _FULL = 0.98
 #: how well the factory knows its latency; what control has where nothing is said, in its periods: from half (a drive at once) to twelve, of
@@ -42,10 +45,11 @@ _STATED, _MEAN_PERIODS, _SD_PERIODS, _MOST_PERIODS = 0.1, 5.0, 3.0, 12.0
 
 @dataclass(frozen=True)
 class LoopEffects:
-    """Effects that were found, and a line for each that there is."""
+    """Effects that were found, a line for each that there is, and what is no effect and should be known."""
 
     effects: tuple[FoundEffect, ...]
     standings: tuple[Standing, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def loop_effects(recordings: Sequence[Recording], factory: Mapping[str, Any], without: Collection[str] = ()) -> LoopEffects:
@@ -60,6 +64,9 @@ def loop_effects(recordings: Sequence[Recording], factory: Mapping[str, Any], wi
         Effects that the registry shall not hold.
     """
     held = _held(recordings, factory_value(factory, "dac_full_scale_V") or np.inf)
+    scale = _scale_of_columns(recordings, held)
+    if scale is not None:
+        held = {**held, "a": held["a"] - scale}
     found = [_loop_error(held), _angle_latency(recordings, factory)]
     effects, lines = [], []
     for name, (effect, seen_from) in zip(LOOP_EFFECTS, found, strict=True):
@@ -68,7 +75,7 @@ def loop_effects(recordings: Sequence[Recording], factory: Mapping[str, Any], wi
         status = "present" if effect is not None else "excluded" if seen_from is not None else "not testable"
         lines.append(Standing(name, EFFECTS[name].title, EFFECTS[name].location, status, seen_from, 0.0, 0.0, 0.0))
         effects += [] if effect is None else [effect]
-    return LoopEffects(tuple(effects), tuple(lines))
+    return LoopEffects(tuple(effects), tuple(lines), () if scale is None else (_said(scale),))
 
 
 def _loop_error(held: Mapping[str, FloatArray]) -> tuple[FoundEffect | None, Quantity | None]:
@@ -82,6 +89,31 @@ def _loop_error(held: Mapping[str, FloatArray]) -> tuple[FoundEffect | None, Qua
     if all(abs(q.value) < SIGMA * q.sd for q in missed.values()):
         return None, Quantity(SEEN * worst_sd, worst_sd, "1")
     return found_beside("loop_error", missed, SIGMA**2, harmless=False), None
+
+
+def _scale_of_columns(recordings: Sequence[Recording], held: Mapping[str, FloatArray]) -> float | None:
+    """By how much the columns read an amplitude as larger than the loop that holds it, if they do, and the loop errs in nothing.
+
+    A filter of the converter before the demodulators: a share of 1.05e-3 that is alike at all amplitudes, on both axes, warm and cold. What
+    a loop without an integrator leaves is too little, never too much, and goes with the drive that it needs, so with the damping.
+    """
+    others = [_middle(held[name]) for name in ("q", "psi") if held[name].size]
+    if not held["a"].size or any(abs(value) >= SIGMA * sd for value, sd in others):
+        return None
+    still = [r for r in plain_records(recordings) if not r.command.setpoints.virtual_precession_v and r.command.excitation.kind == "none"]
+    missed = _held(still, np.inf)["a"]
+    value, sd = _middle(held["a"])
+    if not missed.size or not SIGMA * sd < abs(value) < _SCALE or np.ptp(missed) > _ALIKE * abs(value):
+        return None
+    warmth = [float(np.median(r.temperature_degc)) for r in still]
+    return value if value > 0.0 or np.ptp(warmth) > _APART_K else None
+
+
+def _said(scale: float) -> str:
+    return (
+        f"Amplitudes are {1.0 + scale:.6f} of their set points in all recordings alike, warm and cold: the columns' scale is not that of "
+        "the loop's own reading. Drives and pick-offs are taken as recorded; no rate depends on it."
+    )
 
 
 def _held(recordings: Sequence[Recording], full_scale_v: float) -> dict[str, FloatArray]:

@@ -80,6 +80,8 @@ class CampaignModel:
         How much later than its log a table turned, by index of the recording; that is mended in ``evidence``.
     sensor_s : float
         How late the thermometer is [s], if it is later than a good one.
+    largest : mapping
+        Priors of drifts as large as they may be, by column; in ``nuisances`` they are as large as they are.
     """
 
     evidence: CampaignEvidence
@@ -95,6 +97,7 @@ class CampaignModel:
     excess: Mapping[tuple[int, str], float] = field(default_factory=dict)
     late_s: Mapping[int, float] = field(default_factory=dict)
     sensor_s: float = 0.0
+    largest: Mapping[str, float] = field(default_factory=dict)
 
     def candidate(self, name: str, setting: Setting) -> Candidate:
         """An effect at another setting than those of its grid."""
@@ -218,8 +221,9 @@ def look_at(
     screener = Screener(whitener, held, target_of(evidence, angular_gain))
     base = solve(held, whitener.design(held, len(evidence)), whitener.rows(target_of(evidence, angular_gain)))
     report(1.0, "noise")
+    largest = {c.name: c.prior_sd for c in drifts}
     return CampaignModel(
-        evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess, late_s, sensor_s
+        evidence, linear, noise, whitener, tuple(held), candidates, bank, courses, screener, base, excess, late_s, sensor_s, largest
     )
 
 

@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from .column import Column
 from .system import Solution
 
-__all__ = ["Family", "gained_by_resizing", "gained_by_sizing", "measured_shares", "with_shares"]
+__all__ = ["Family", "gained_by_resizing", "gained_by_sizing", "log_evidence", "measured_shares", "what_data_say", "with_shares"]
 
 FloatArray = NDArray[np.float64]
 #: family of a column; "" for none
@@ -88,6 +88,23 @@ def gained_by_sizing(solution: Solution, family: Family) -> float:
 def _told(solution: Solution, family: Family) -> tuple[list[str], FloatArray, FloatArray]:
     """Families of the coefficients, and what the data alone say of these: their precision and information, in units of the priors."""
     places = [k for k, c in enumerate(solution.columns) if family(c)]
+    return [family(solution.columns[k]) for k in places], *what_data_say(solution, places)
+
+
+def what_data_say(solution: Solution, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    """Precision and information of coefficients by the data alone, in units of the priors that they had in a fit.
+
+    Parameters
+    ----------
+    solution : Solution
+    places : sequence of int
+        Of the coefficients, which have a prior each.
+
+    Returns
+    -------
+    precision : ndarray, shape (k, k)
+    information : ndarray, shape (k,)
+    """
     prior = np.array([solution.columns[k].prior_sd for k in places])
     covariance = solution.covariance[np.ix_(places, places)] / np.outer(prior, prior)
     # what the data alone say is the posterior less the prior
@@ -95,7 +112,7 @@ def _told(solution: Solution, family: Family) -> tuple[list[str], FloatArray, Fl
     posterior = np.asarray((axes / np.maximum(known, _ROUNDING)) @ axes.T)
     w, v = np.linalg.eigh(posterior - np.eye(prior.size))
     data = np.asarray((v * np.maximum(w, 0.0)) @ v.T)
-    return [family(solution.columns[k]) for k in places], data, np.asarray(posterior @ (solution.values[places] / prior))
+    return data, np.asarray(posterior @ (solution.values[list(places)] / prior))
 
 
 def _likeliest(
@@ -138,7 +155,19 @@ def _expected(scores: FloatArray) -> float:
 
 def _likelihood(data: FloatArray, told: FloatArray, families: Sequence[str], sizes: Mapping[str, float]) -> float:
     """Log likelihood of the coefficients, marginalised: prior variances s^2, precision and information of the data."""
-    sd = np.array([sizes[f] for f in families])
+    return log_evidence(data, told, np.array([sizes[f] for f in families]))
+
+
+def log_evidence(data: FloatArray, told: FloatArray, sd: FloatArray) -> float:
+    """Of coefficients with independent priors about zero, over that of none of them.
+
+    Parameters
+    ----------
+    data, told : ndarray
+        Precision and information by the data alone, of :func:`what_data_say`.
+    sd : ndarray, shape (k,)
+        Of the priors.
+    """
     inner = np.eye(sd.size) + sd[:, None] * data * sd[None, :]
     factor = cho_factor(inner, lower=True)
     scaled = sd * told

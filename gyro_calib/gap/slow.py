@@ -26,9 +26,6 @@ __all__ = ["MOST_WANDER", "drift_family", "slow_drifts"]
 ComplexArray = NDArray[np.complex128]
 #: half cosines of the campaign's time; families that stand still in the case, which a wave may turn past
 _COSINES, _OF_CASE = 8, ("strayc", "strays", "gain", "phase")
-#: how large a drift of healthy electronics may be: stray volts over those that hold a wave, gains and phases of drives, rate, damping and
-#: split over the decay; sixteen healthy devices of two plants came to 1e-5, and what drifts more is an effect, named or not
-_STRAY, _GAIN, _PHASE, _RATE, _DAMPING, _SPLIT = 3e-5, 3e-5, 1e-5, 3e-5, 6e-5, 3e-5
 #: how much larger cosines may be than the flicker that is measured
 _ABOVE = 2.0
 #: how far a resonance wanders between records at most, over its frequency: its millikelvins, which take minutes
@@ -71,15 +68,16 @@ def slow_drifts(evidence: CampaignEvidence, linear: Linear, flicker: float = 0.0
     phase = np.pi * (times - times.min()) / max(float(np.ptp(times)), 1.0)
     volts = float(np.median([np.sqrt(np.mean(np.sum(np.abs(r.signals.drive) ** 2, axis=1))) for r in evidence if r.is_wave]))
     flicker_of = {"gain": flicker, "phase": math.sqrt(max(evidence.phase_floors))}
-    largest = {
-        "strayc": _STRAY * volts,
-        "strays": _STRAY * volts,
-        "gain": max(_GAIN, _ABOVE * flicker_of["gain"]),
-        "phase": max(_PHASE, _ABOVE * flicker_of["phase"]),
-        "rate": _RATE * evidence.decay_rate,
+    healthy = evidence.healthy
+    largest = dict.fromkeys(("strayc", "strays"), healthy.stray_drift * volts)
+    largest |= {
+        "gain": max(healthy.gain_drift, _ABOVE * flicker_of["gain"]),
+        "phase": max(healthy.phase_drift, _ABOVE * flicker_of["phase"]),
+        "rate": healthy.rate_drift * evidence.decay_rate,
+        "damping": healthy.damping_drift * evidence.decay_rate,
+        "split": healthy.split_drift * evidence.decay_rate,
+        "frequency": MOST_WANDER * evidence.omega0_rad_s,
     }
-    largest |= {"damping": _DAMPING * evidence.decay_rate, "frequency": MOST_WANDER * evidence.omega0_rad_s}
-    largest["split"] = _SPLIT * evidence.decay_rate
     columns = []
     for column in base:
         family = column.name.split(".")[0]
