@@ -32,6 +32,9 @@ LOOP_EFFECTS = ("loop_error", "angle_latency")
 
 #: what a loop may leave of its error after it has settled, of the amplitude (sd)
 _SETTLED = 1e-6
+#: quadrature and azimuth that zeros of demodulators and set points leave: five healthy hemispheres of a plant held up to 5e-5, and
+#: effects.md has 1e-4 to 1e-2 as an effect
+_ZEROS = {"a": 0.0, "q": 9e-5, "psi": 9e-5}
 #: an amplitude that misses its set point by another scale of columns and loop: at most, to what share of it alike in all records, and how
 #: far apart temperatures are that tell a loop by its damping [K], which goes by 1e-3/K and more
 _SCALE, _ALIKE, _APART_K = 1e-2, 5e-3, 4.0
@@ -85,9 +88,9 @@ def _loop_error(held: Mapping[str, FloatArray]) -> tuple[FoundEffect | None, Qua
         return None, None
     units = {p.name: p.unit for p in EFFECTS["loop_error"].parameters}
     missed = {name: Quantity(value, sd, units[name]) for name, (value, sd) in sizes.items()}
-    worst_sd = max(q.sd for q in missed.values())
-    if all(abs(q.value) < SIGMA * q.sd for q in missed.values()):
-        return None, Quantity(SEEN * worst_sd, worst_sd, "1")
+    if not any(_counts(name, q.value, q.sd) for name, q in missed.items()):
+        worst_sd = max(q.sd for q in missed.values())
+        return None, Quantity(max(SEEN * worst_sd, *(_ZEROS[name] for name in missed)), worst_sd, "1")
     return found_beside("loop_error", missed, SIGMA**2, harmless=False), None
 
 
@@ -97,8 +100,8 @@ def _scale_of_columns(recordings: Sequence[Recording], held: Mapping[str, FloatA
     A filter of the converter before the demodulators: a share of 1.05e-3 that is alike at all amplitudes, on both axes, warm and cold. What
     a loop without an integrator leaves is too little, never too much, and goes with the drive that it needs, so with the damping.
     """
-    others = [_middle(held[name]) for name in ("q", "psi") if held[name].size]
-    if not held["a"].size or any(abs(value) >= SIGMA * sd for value, sd in others):
+    others = [_counts(name, *_middle(held[name])) for name in ("q", "psi") if held[name].size]
+    if not held["a"].size or any(others):
         return None
     still = [r for r in plain_records(recordings) if not r.command.setpoints.virtual_precession_v and r.command.excitation.kind == "none"]
     missed = _held(still, np.inf)["a"]
@@ -139,6 +142,11 @@ def _held(recordings: Sequence[Recording], full_scale_v: float) -> dict[str, Flo
         if r.command.excitation.kind == "none":
             found["a"].append(settled_mean(amplitude / amplitude_v - 1.0))
     return {name: np.array(values) for name, values in found.items()}
+
+
+def _counts(name: str, value: float, sd: float) -> bool:
+    """Whether a loop misses its set point by more than healthy ones do."""
+    return abs(value) >= max(SIGMA * sd, _ZEROS[name])
 
 
 def _middle(values: FloatArray) -> tuple[float, float]:

@@ -95,7 +95,7 @@ def _check_clipping(recording: Recording, factory: Mapping[str, Any], where: str
     closed = recording.command.mode in ("ftr_x", "ftr_y", "whole_angle")  # an open drive is flat by command
     for name in CHANNELS if closed else _PICK_NAMES:
         column = recording.column(name)
-        for extreme in (column.max(), column.min()):
+        for extreme in _clipping_levels(column, name):
             start, length = _longest_run(column == extreme)
             if _FLAT_TOP_SAMPLES <= length <= column.size // 2 and _is_flat_top(column, start, length, recording):
                 raise DataError(
@@ -105,6 +105,11 @@ def _check_clipping(recording: Recording, factory: Mapping[str, Any], where: str
         _check_extremes(recording, name, where)
 
 
+def _clipping_levels(column: FloatArray, name: str) -> list[float]:
+    """Extremes at which a channel may clip: a drive of nothing at all is in its dead zone, or at rest, and not at an end of its range."""
+    return [level for level in (float(column.max()), float(column.min())) if level != 0.0 or name in _PICK_NAMES]
+
+
 def _is_flat_top(column: FloatArray, start: int, length: int, recording: Recording) -> bool:
     return _moves_beside(column, start, length, recording) and not _is_rounded(column)
 
@@ -112,7 +117,7 @@ def _is_flat_top(column: FloatArray, start: int, length: int, recording: Recordi
 def _check_extremes(recording: Recording, name: str, where: str) -> None:
     """A noisy channel that clips comes to one value again and again, and to no other: no run of them need be long."""
     column = recording.column(name)
-    for extreme in (column.min(), column.max()):
+    for extreme in _clipping_levels(column, name):
         there = column == extreme
         count = int(np.count_nonzero(there))
         if count < _FLAT_TOP_SAMPLES or not _is_noisy(column, recording):
