@@ -316,6 +316,23 @@ def test_recordings_that_are_not_used_are_named(campaign):
     )
 
 
+@pytest.mark.parametrize("label", ["static_x_0", "side_y_a1_1.5hz"])
+def test_a_reference_that_slips_half_a_cycle_takes_its_recording_away(campaign, label) -> None:
+    """A ring of a twenty-ninth plant: its wave was at -1 V for six seconds of ten, and the noise of what turns a million times too loud."""
+
+    def slipped(r: Recording) -> Recording:
+        data = r.data.copy()
+        data[: len(data) // 3, 2:10] *= -1.0
+        return replace(r, data=data)
+
+    assert len(usable(campaign)) == len(campaign)
+    spoilt = replace(campaign, recordings=tuple(slipped(r) if r.label == label else r for r in campaign))
+    assert {r.label for r in spoilt} - {r.label for r in usable(spoilt)} == {label}
+    (said,) = check_campaign(spoilt)
+    assert said.startswith("Not used, for the wave is held on both sides of its axis")
+    assert label in said
+
+
 def test_a_drive_that_little_is_told_of_has_no_sign(campaign) -> None:
     """Eight recordings, one of them on y: its drive's gain came out as a tenth of what holds a wave, in any phase."""
     recordings = usable(campaign)

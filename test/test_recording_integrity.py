@@ -103,6 +103,16 @@ def test_bad_recording_is_refused_with_sample_value_and_remedy(name):
         validate(recording, FACTORY)
 
 
+def test_a_drive_of_nothing_is_in_its_dead_zone_and_not_at_an_end_of_its_range():
+    def dead(rows):
+        rows[:, column("y_drive_s")] = np.maximum(rows[:, column("y_drive_s")] - rows[:, column("y_drive_s")].mean(), 0.0)
+        rows[300:500, column("y_drive_s")] = 0.0
+
+    recording = spoiled(dead)
+    assert np.count_nonzero(recording.column("y_drive_s") == 0.0) > 200
+    validate(recording, FACTORY)
+
+
 def test_millivolts_are_recognised():
     with pytest.raises(DataError, match=r"but got 1000 .*looks like mV: divide the pick-off columns by 1000"):
         validate(spoiled(scale(1e3, *PICKS)), {"nominal_f0_hz": 15000.0})

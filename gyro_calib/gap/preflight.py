@@ -36,6 +36,8 @@ _FEWEST_RECORDINGS = 2
 _NO_NOISE = 1e-8
 #: fewest rows of a recording; excitations that the equations do not describe
 _FEWEST_ROWS, _NOT_DESCRIBED = 200, ("frequency_modulation", "secondary_modulation")
+#: a wave held at this share of its largest volts or more, for this share of the rows, was there; a modulation leaves more
+_HELD_VOLTS, _SLIPPED = 0.05, 0.01
 #: a drive acts on an axis by this share at least of what holds a wave there
 _ACTS = 0.2
 #: rate of growth over the decay that the factory states, from which on columns are wrong and not the gyro; share of a drive's gain in the
@@ -46,15 +48,29 @@ _HELD_SHARE = 0.25
 
 
 def usable(campaign: Campaign) -> list[Recording]:
-    """Recordings with something to say: long enough, of a mode that the equations describe."""
-    return [r for r in campaign if len(r) >= _FEWEST_ROWS and r.command.excitation.kind not in _NOT_DESCRIBED]
+    """Recordings with something to say: long enough, of a mode that the equations describe, with one wave from end to end."""
+    return [r for r in campaign if len(r) >= _FEWEST_ROWS and r.command.excitation.kind not in _NOT_DESCRIBED and not _slips(r)]
+
+
+def _slips(r: Recording) -> bool:
+    """Whether force to rebalance held its wave on both sides of nothing: the reference slipped by half a cycle."""
+    axis = r.command.oscillator_axis
+    if axis is None or r.command.mode == "loops_off":
+        return False
+    held = r.pick[:, "xy".index(axis)].real
+    share = float(np.mean(held[np.abs(held) > _HELD_VOLTS * np.abs(held).max()] > 0.0))
+    return _SLIPPED < share < 1.0 - _SLIPPED
 
 
 def _not_used(campaign: Campaign) -> list[str]:
     """A line on recordings that are too short to be used, and one on those of another method."""
     short = [f"{r.label} ({len(r)})" for r in campaign if len(r) < _FEWEST_ROWS]
     other = [r.label for r in campaign if len(r) >= _FEWEST_ROWS and r.command.excitation.kind in _NOT_DESCRIBED]
+    slipped = [r.label for r in campaign if len(r) >= _FEWEST_ROWS and _slips(r)]
     lines = []
+    if slipped:
+        said = f"Not used, for the wave is held on both sides of its axis, the reference slipped by half a cycle: {', '.join(slipped)}"
+        lines.append(f"{said}. Record them again.")
     if short:
         lines.append(f"Not used, for they hold fewer than {_FEWEST_ROWS} rows: {', '.join(short)}. Record them for longer, or faster.")
     if other:
