@@ -38,6 +38,7 @@ from .periods import find_period
 from .probabilities import beside_unknown, none_or_unknown
 from .rate_table import said_late
 from .reciprocity import reciprocity
+from .ringing import find_ringing
 from .screen import Candidate, Screened
 from .select import Selection, select_effects
 from .spectral_effects import SpectralEffects, spectral_effects
@@ -129,6 +130,8 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
         or (None if beside.effects else _more_than_they_say(model, selection, shrunk))
     )
     unknown = unknown or (None if beside.effects else _within_recordings(flows, swings, bool(effects)))
+    if unknown is None and not effects and (ringing := find_ringing(model.evidence, model.linear)) is not None:
+        unknown = ringing.unknown()
     if (loud := loudest(model, rich)) is not None:
         warnings = [*warnings, loud.warning()]
         unknown = unknown or (None if effects else loud.unknown())

@@ -25,7 +25,7 @@ from .evidence import CampaignEvidence, RecordingEvidence
 from .linear_device import FEEDTHROUGH, ROW_MOMENT, collected, combined, entry, reaction_of
 from .parts import QUARTER_TURN, Linear
 
-__all__ = ["gain_as_read", "healthy_phases", "in_time", "rate_columns", "said_late", "shifted", "steps_of"]
+__all__ = ["gain_as_read", "healthy_phases", "in_time", "rate_columns", "said_late", "shifted", "step_rows", "steps_of"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -182,13 +182,18 @@ def _carrier_phases(evidence: CampaignEvidence, reaction: ComplexArray) -> list[
 
 def _changes(rate: FloatArray, row_s: float) -> list[FloatArray]:
     """How fast a rate changes [rad/s^2], step by step; nothing of a course that is none of steps."""
+    slope, rows = np.gradient(rate, row_s), np.arange(rate.size)
+    return [np.where((rows >= place.start) & (rows < place.stop), slope, 0.0) for place in step_rows(rate, row_s)]
+
+
+def step_rows(rate: FloatArray, row_s: float) -> list[slice]:
+    """Rows in which each step of a rate [rad/s] takes place; nothing of a course that is none of steps."""
     slope = np.gradient(rate, row_s)
     moves = np.abs(slope) > _STILL * float(np.abs(slope).max(initial=0.0))
     steps = [place for (place,) in find_objects(label(moves)[0])]
     if len(steps) > _MOST_STEPS or any((place.stop - place.start) * row_s > _STEP_S for place in steps):
         return []
-    rows = np.arange(rate.size)
-    return [np.where((rows >= place.start) & (rows < place.stop), slope, 0.0) for place in steps]
+    return steps
 
 
 def steps_of(values: Mapping[str, float], angular_gain: float) -> tuple[dict[int, float], float]:
