@@ -9,14 +9,14 @@ from typing import cast
 import numpy as np
 import pytest
 
-from gyro_calib.gap import strangers
+from gyro_calib.gap import counting, strangers
 from gyro_calib.gap.anonymous import Anonymous
 from gyro_calib.gap.column import Column
-from gyro_calib.gap.counting import beyond_complete, enough
+from gyro_calib.gap.counting import beyond_complete, completes, enough
 from gyro_calib.gap.model import CampaignModel
+from gyro_calib.gap.physical import physical
 from gyro_calib.gap.saturated import _with_room, with_twins
 from gyro_calib.gap.screen import Candidate, Screened
-from gyro_calib.gap.select import physical
 
 LOUD = 2.5e7
 
@@ -64,6 +64,29 @@ def test_what_first_order_leaves_keeps_to_no_time(name: str, share: float, besid
 )
 def test_what_moves_with_something_else_counts_by_all_that_is_left(name: str, gain: float, chi2: float, counts: bool) -> None:
     assert enough(screened(name, gain), screened("nonlinear_damping", LOUD), beyond_complete(chi2, 1395)) is counts
+
+
+@pytest.mark.parametrize(
+    ("gain", "others", "unnamed", "counts"),
+    [
+        (632.0, 3.0, 5.0, True),
+        # as much is left of others as well
+        (632.0, 40.0, 5.0, False),
+        (632.0, 3.0, 90.0, False),
+        # or in no form at all
+        (400.0, 3.0, 5.0, False),
+    ],
+)
+def test_what_leaves_nothing_beside_a_loud_one_counts(
+    monkeypatch: pytest.MonkeyPatch, gain: float, others: float, unnamed: float, counts: bool
+) -> None:
+    """A soft limit of the drives beside an unequal Duffing of 8e5 in chi-square, on a hemisphere of a twenty-ninth plant."""
+    left = SimpleNamespace(screened=lambda _: [screened("pickoff_nonlinearity", 2.0 * others)])
+    model = SimpleNamespace(candidates={"pickoff_nonlinearity": []}, screener_with=lambda _: left)
+    monkeypatch.setattr(counting, "bank_terms", lambda *_: [(screened("x", unnamed), None)])
+    found, rest = screened("drive_nonlinearity", gain), beyond_complete(2988.0, 2679)
+    assert not enough(found, screened("duffing", 8e5), rest)
+    assert completes(model, (), found, rest) is counts  # type: ignore[arg-type]
 
 
 def test_alone_an_effect_counts_by_its_evidence() -> None:

@@ -13,15 +13,15 @@ from itertools import combinations
 
 import numpy as np
 
-from ..effects import EFFECTS
 from .at_rest import seen_at_rest
-from .candidates import candidate_at, registry_name
-from .counting import beyond_complete, enough, stands
+from .candidates import candidate_at
+from .counting import beyond_complete, completes, enough, stands
 from .drifts import COURSES, best_course
 from .exact_levels import best_exact_level
 from .floors import beat_their_floors
 from .model import CampaignModel
 from .one_recording import told_by_several
+from .physical import physical, worth_at_its_level
 from .relinearise import relinearised
 from .saturated import is_of_time, with_twins
 from .screen import Candidate, Screened, Screener
@@ -60,10 +60,6 @@ _BEYOND = {"half_width_hz": (4.0, 4.0), "tau": (1.0, 3.0)}
 _NEAR, _CONTENDERS = 0.75, 4
 #: effects tried in pairs, and least gain of a pair that no member shows alone
 _PAIRED = 8
-#: a share that multiplies an effect whose size is its setting must be near one
-_SHARES, _ROUGH_SHARES, _SHARE_SD = (0.6, 1.7), (0.4, 2.5), 0.25
-#: a lag of the thermometer that is long against a ramp [s]
-_BENDING_LAG_S = 0.5
 #: log evidence that an effect may gain between two settings of its grid
 _BETWEEN = 6.0
 #: a level that is tried as what it is must leave this much less than what was selected
@@ -96,26 +92,6 @@ class Selection:
     chi2_before: float
     chi2_after: float
     dof: int
-
-
-def physical(found: Screened, *, rough: bool = True) -> bool:
-    """Whether an effect's size is one that it can have.
-
-    The share of a level or of a lag is one, ``rough``: as far as a fit that lacks it can say.
-    """
-    low, high = _ROUGH_SHARES if rough else _SHARES
-    known = {p.name: p for p in EFFECTS[registry_name(found.name, found.candidate.setting)].parameters}
-    for name, (value, sd) in found.sizes().items():
-        if name in known and not known[name].lower - 3.0 * sd <= value <= known[name].upper + 3.0 * sd:
-            return False
-    # a mode whose line covers the resonance is a memory
-    if abs(found.candidate.setting.get("separation_hz", np.inf)) < found.candidate.setting.get("half_width_hz", 0.0):
-        return False
-    told = "level" in found.candidate.setting or found.name == "thermal_lag"
-    if rough and found.candidate.setting.get("tau", 0.0) > _BENDING_LAG_S and found.name == "thermal_lag":
-        # without it the frequency hardly seems to follow the temperature, and the share is of that
-        high = np.inf
-    return not told or low <= found.sizes()["share"][0] <= high
 
 
 def _ranked(model: CampaignModel, chosen: Sequence[Candidate], only: Sequence[str] | None = None) -> list[Screened]:
@@ -214,7 +190,10 @@ def _settled(model: CampaignModel, chosen: list[Candidate], largest: Screened | 
         left = model.screener_with(chosen)
         louder = float(np.clip(left.chi2 / left.dof, 1.0, _LOUDEST))
         needed = [
-            enough(e, largest if len(effects) > 1 else None, beyond_complete(left.chi2 + e.gain, left.dof))
+            (
+                enough(e, largest if len(effects) > 1 else None, r := beyond_complete(left.chi2 + e.gain, left.dof))
+                or completes(model, chosen, e, r)
+            )
             and seen_at_rest(model, effects, e)
             and told_by_several(model, e, [o.candidate for o in effects if o is not e])
             for e in effects
@@ -310,7 +289,7 @@ def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidat
     def evidence(value: float) -> float:
         at = model.candidate(candidate.name, {**candidate.setting, key: value})
         found = screener.screen(at)
-        tried[value] = (_worth_at_its_level(found) if found is not None and physical(found) else -np.inf, at)
+        tried[value] = (worth_at_its_level(found) if found is not None and physical(found) else -np.inf, at)
         return tried[value][0]
 
     evidence(here)
@@ -329,17 +308,13 @@ def _refined_along(model: CampaignModel, screener: Screener, candidate: Candidat
     return max(tried.values(), key=lambda pair: pair[0])[1]
 
 
-def _worth_at_its_level(found: Screened) -> float:
-    """Log evidence, less what speaks against a level of which not all is taken: where little lies beyond it levels are nearly alike."""
-    share = found.sizes()["share"][0] if "level" in found.candidate.setting else 1.0
-    return found.log_evidence - 0.5 * ((share - 1.0) / _SHARE_SD) ** 2
-
-
 def _counting(model: CampaignModel, chosen: Sequence[Candidate], ranked: Sequence[Screened], largest: Screened | None) -> list[Screened]:
     """Those that count beside what is chosen."""
     screener = model.screener_with(chosen)
     rest = beyond_complete(screener.chi2, screener.dof)
-    return [s for s in ranked if enough(s, largest, rest)]
+    return [
+        s for s in ranked if enough(s, largest, rest) or (s is ranked[0] and chosen and completes(model, [*chosen, s.candidate], s, rest))
+    ]
 
 
 def _without(chosen: Sequence[Candidate], k: int) -> list[Candidate]:
