@@ -142,13 +142,22 @@ def test_a_gradient_of_temperature_damps_as_well_alike_and_unequally() -> None:
         assert np.abs(alone).max() > 0.0
 
 
-def test_what_is_charged_drives_otherwise_as_well() -> None:
-    """By as much on both axes, and as the split comes: V0 is in the stiffness twice and in the force once."""
+def test_what_is_charged_drives_and_reads_otherwise_as_well() -> None:
+    """As the split comes, for V0 is in the stiffness twice and in the force once; of the electrodes of either axis, or of both.
+
+    Two plants charged those of x alone: beside the charge a drive's gain drifted, 311 in chi-square of one.
+    """
     signals, linear = moving(0.0)
     parts = {p.parameter: p for p in FORMS["charge_accumulation"].parts(signals, linear, {"tau": 0.7})}
-    rise = 1.0 - np.exp(-signals.time_s / 0.7)
-    assert parts[f"{SKEW}_gain"].kind == "drive"
-    np.testing.assert_allclose(parts[f"{SKEW}_gain"].signal, 3.0 / UNEQUAL * rise[:, None] * signals.drive)
+    rise = (1.0 - np.exp(-signals.time_s / 0.7))[:, None]
+    driven = [parts[f"{SKEW}_gain_{a}"] for a in "xy"]
+    assert {part.kind for part in driven} == {"drive"}
+    for part, axis in zip(driven, np.eye(2), strict=True):
+        np.testing.assert_allclose(part.signal, 3.0 / UNEQUAL * rise * signals.drive * axis)
+    for a, axis in zip("xy", np.eye(2), strict=True):
+        read = read_at_once("", signals, linear, lambda v, axis=axis: 3.0 / UNEQUAL * rise * v * axis)  # type: ignore[misc]
+        np.testing.assert_allclose(parts[f"{SKEW}_read_{a}"].signal, read.signal)
+        assert parts[f"{SKEW}_read_{a}"].kind == read.kind
 
 
 def test_what_feeds_through_by_warmth_has_a_phase_and_goes_across() -> None:

@@ -20,7 +20,7 @@ from gyro_calib.gap.evidence import CampaignEvidence
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.ringing import Ringing, find_ringing
 from gyro_calib.recording.applied_rate import is_turned
-from gyro_calib.recording.recording import Campaign
+from gyro_calib.recording.recording import Campaign, Recording
 from gyro_calib.simulation import GyroSimulator
 
 ROW_S = 2e-3
@@ -90,6 +90,19 @@ def test_a_table_that_does_as_its_log_says_does_not_ring() -> None:
     campaign = on_a_table()
     assert sum(is_turned(r) for r in campaign) == 2
     assert rings(campaign) is None
+
+
+def test_a_course_that_is_none_of_steps_says_nothing() -> None:
+    """A log of an encoder's own samples, noise and all: a campaign of a twenty-eighth plant."""
+
+    def sampled(r: Recording) -> Recording:
+        words = r.extras["applied_rate"]
+        seen = course(words, np.ones_like)
+        noisy = np.array(seen["rad_s"]) + 1e-5 * np.random.default_rng(1).standard_normal(len(seen["rad_s"]))
+        return replace(r, extras={**r.extras, "applied_rate": {**seen, "rad_s": noisy.tolist()}})
+
+    campaign = on_a_table()
+    assert rings(replace(campaign, recordings=tuple(sampled(r) if is_turned(r) else r for r in campaign))) is None
 
 
 @pytest.mark.parametrize("tau_s", [0.03, 0.25])

@@ -37,8 +37,9 @@ _UNLIKE: dict[str, ComplexArray] = {
     "mixed": np.array([[0.0, 0.5], [0.5, 0.0]], dtype=np.complex128),
     "late": np.array([[0.0, 0.5j], [0.5j, 0.0]]),
 }
-#: what may come with an effect, over it: damping that a gradient of temperature makes unequal, over the split that it makes; gain of the
-#: drives, which goes as the charged bias, over the half split [s/rad]; what feeds through to the other axis, over what does to its own
+#: what may come with an effect, over it: damping that a gradient of temperature makes unequal, over the split that it makes; gain of a
+#: drive or of a pick-off, which goes as the charged bias, over the half split [s/rad]; what feeds through to the other axis, over what does
+#: to its own
 _DAMPED, _CHARGED_S, _ACROSS = 0.3, 3.0, 0.3
 #: damping alike along all directions that a gradient makes: its column in a fit, and `thermal_damping_lag.c` [1/s/K] for one unit of that
 GRADIENT_DAMPS = (f"thermal_split_lag.{REST}_damped", -_DAMPED / UNEQUAL)
@@ -117,8 +118,11 @@ def _lagging_pickoff(s: Signals, d: Linear, setting: Setting) -> list[Part]:
 def _charge(s: Signals, d: Linear, setting: Setting) -> list[Part]:
     rise = (1.0 - np.exp(-s.time_s / setting["tau"]))[:, None]
     p = motion(s, d)
-    # what it does to the mean frequency is not told from a resonance that drifts: the two anisotropies alone name it
-    return [*_anisotropy("k", rise * p, 1j), beside("gain", "drive", _CHARGED_S * rise * s.drive)]
+    # what it does to the mean frequency is not told from a resonance that drifts: the two anisotropies alone name it; the electrodes
+    # of either axis may be those that charge, and what drives may be what reads
+    gain = _CHARGED_S * rise
+    driven = [beside(f"gain_{a}", "drive", gain * one_axis(s.drive, k)) for k, a in enumerate("xy")]
+    return [*_anisotropy("k", rise * p, 1j), *driven, *_of_each_reading(f"{SKEW}_read", s, d, lambda v: gain * v / UNEQUAL)]
 
 
 def _constant(kind: Kind, letter: str) -> Callable[[Signals, Linear, Setting], list[Part]]:

@@ -138,10 +138,11 @@ def _after_steps(evidence: CampaignEvidence, linear: Linear) -> list[_After]:
         if not is_turned(r.recording):
             continue
         across = rows_left(s, linear)[2].real
+        # a course has none
         places = step_rows(s.rate_rad_s, s.row_s)
         middles_s = np.array([0.5 * (place.start + place.stop) * s.row_s for place in places])
         rises = np.array([s.rate_rad_s[min(p.stop, across.size - 1)] - s.rate_rad_s[max(p.start - 1, 0)] for p in places])
-        ends = [place.start for place in places[1:]] + [across.size]
+        ends = [*(place.start for place in places[1:]), across.size][: len(places)]
         for k, (place, end) in enumerate(zip(places, ends, strict=True)):
             begin = place.stop + math.ceil(_MOTOR_S / s.row_s)
             end = min(end - math.ceil(_BEFORE_S / s.row_s), begin + int(_MOST_S / s.row_s))
