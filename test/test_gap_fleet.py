@@ -149,7 +149,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
         ("healthy: {gain_per_kelvin: 1e-5}\nnominal_f0_hz: 1e4", "no size of a healthy device is called gain_per_kelvin"),
         ("healthy: {gain_per_k: -1e-5}\nnominal_f0_hz: 1.0e4", "gain_per_k must be a positive size"),
         ("healthy: {gain_per_k: 1.0e-5}", "nominal_f0_hz > 0"),
-        ("gain_per_k: 1.0e-5", "no part `healthy`"),
+        ("gain_per_k: 1.0e-5", "a part `healthy`"),
         ("healthy: [", "but got"),
     ],
 )

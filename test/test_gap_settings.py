@@ -16,8 +16,9 @@ from gyro_calib.gap.forms import FORMS
 from gyro_calib.gap.levels import clipped
 from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.parts import REST, SKEW
+from gyro_calib.gap.physical import _ROUGH_SHARES
 from gyro_calib.gap.screen import Candidate
-from gyro_calib.gap.select import _ROUGH_SHARES, _refined
+from gyro_calib.gap.select import _refined
 from gyro_calib.gap.settings_together import is_accompanied, places_of, settled_together, with_slopes
 from gyro_calib.gap.system import Solution, Whitener, solve
 from gyro_calib.gap.told import told_sizes

@@ -76,13 +76,13 @@ def read_fleet(path: Path) -> Fleet:
     """
     try:
         document = load_yaml(path.read_text(encoding="utf-8"))
-        if not isinstance(document, dict) or not isinstance(document.get("healthy"), dict):
-            raise ValueError("it has no part `healthy`")
-        healthy = HealthySpread.from_mapping(document["healthy"])
-        units = document.get("units") or ()
-        return Fleet(document.get("nominal_f0_hz", math.nan), healthy, tuple(map(str, units)))
+        sizes = document.get("healthy") if isinstance(document, dict) else None
+        healthy = HealthySpread.from_mapping(sizes) if isinstance(sizes, dict) else None
     except (OSError, ValueError, TypeError) as error:
         raise DataError(f"Fleet file {path.name} must be YAML with nominal_f0_hz and healthy, but got: {error}") from error
+    if healthy is None:
+        raise DataError(f"Fleet file {path.name} must have a part `healthy` of names and sizes, but got none. Make it by gyro-calib fleet.")
+    return Fleet(document.get("nominal_f0_hz", math.nan), healthy, tuple(map(str, document.get("units") or ())))
 
 
 def write_fleet(path: Path, nominal_f0_hz: float, units: Sequence[str], sizes: Sequence[FleetSize]) -> Fleet:
