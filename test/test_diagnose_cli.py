@@ -77,6 +77,18 @@ def diagnosed(written, monkeypatch):
     monkeypatch.setattr("gyro_calib.gap.diagnose", lambda campaign, **options: written[2])
 
 
+def test_a_verdict_beside_a_fleet_says_so(diagnosed, recording, tmp_path, capsys):
+    fleet, page, document = (tmp_path / name for name in ("fleet.yaml", "gap.html", "gap.json"))
+    fleet.write_text("nominal_f0_hz: 15000.0\nhealthy: {axis_gain_per_k: 2.0e-6}\n")
+    assert main(["diagnose", str(recording), "--fleet", str(fleet), "--json", str(document), "--html", str(page)]) == 0
+    assert "judged beside the fleet of fleet.yaml" in capsys.readouterr().out
+    assert "judged beside the fleet of fleet.yaml" in page.read_text()
+    assert json.loads(document.read_text())["provenance"]["fleet"]["sha256"] == hashlib.sha256(fleet.read_bytes()).hexdigest()
+    fleet.write_text("nominal_f0_hz: 5300.0\nhealthy: {}\n")
+    assert main(["diagnose", str(recording), "--fleet", str(fleet)]) == 1
+    assert "but got 15000 Hz" in capsys.readouterr().err
+
+
 def test_json_has_the_keys_of_the_contract(outputs):
     document, _ = outputs
     assert {"verdict", "effects", "unknown", "map", "gap", "not_testable", "next_experiment"} <= set(document)

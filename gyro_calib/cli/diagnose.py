@@ -84,7 +84,9 @@ def print_diagnosis(diagnosis: Diagnosis, *, every: bool = False) -> None:
     """The verdict that a person reads in a minute."""
     from ..report.gap_tables import before_after_table, effects_table, places_table, sentences_of_next, standings_table
 
-    say(f"{diagnosis.device_id}, {diagnosis.recordings} recordings: {diagnosis.verdict}")
+    fleet = diagnosis.provenance.get("fleet")
+    beside = f", judged beside the fleet of {fleet['name']}" if fleet else ""
+    say(f"{diagnosis.device_id}, {diagnosis.recordings} recordings{beside}: {diagnosis.verdict}")
     say(diagnosis.summary)
     say("")
     for table in (effects_table(diagnosis), places_table(diagnosis), before_after_table(diagnosis)):

@@ -119,4 +119,6 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
 
 
 def _hashes(diagnosis: Diagnosis) -> list[str]:
-    return [f"{item.get('name')}: sha256 {str(item.get('sha256', ''))[:16]}" for item in diagnosis.provenance.get("inputs", ())]
+    fleet = diagnosis.provenance.get("fleet")
+    read = [*diagnosis.provenance.get("inputs", ()), *([{**fleet, "name": f"judged beside the fleet of {fleet['name']}"}] if fleet else [])]
+    return [f"{item.get('name')}: sha256 {str(item.get('sha256', ''))[:16]}" for item in read]
