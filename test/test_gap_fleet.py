@@ -17,7 +17,7 @@ from gyro_calib.device import draw_unit, load_device
 from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
 from gyro_calib.gap import diagnose
-from gyro_calib.gap.fleet import Coefficients, _evidence, fleet_sizes, fleet_spread
+from gyro_calib.gap.fleet import Coefficients, FleetSize, _evidence, fleet_sizes, fleet_spread
 from gyro_calib.gap.fleet_file import read_fleet, write_fleet
 from gyro_calib.gap.healthy import _SIZE_OF, HealthySpread
 from gyro_calib.gap.units import Unit, fleet_of
@@ -141,6 +141,15 @@ def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
     read.check_kind({"nominal_f0_hz": 16000.0})
     with pytest.raises(DataError, match=r"about 15000 Hz, but got 5300 Hz\. Give --fleet the file of this kind"):
         read.check_kind({"nominal_f0_hz": 5300.0})
+
+
+@pytest.mark.parametrize("bound", [2e-6, 1.2345e-5, 1.0])
+def test_sizes_of_any_digits_are_numbers_to_who_reads_them(tmp_path: Path, bound: float) -> None:
+    """2e-06 is a text to YAML; by hand it is written so all the same."""
+    write_fleet(tmp_path / "f.yaml", 15000.0, ["a"], [FleetSize("split_per_frequency", 0.5 * bound, bound, 2.0)])
+    assert read_fleet(tmp_path / "f.yaml").healthy.split_per_frequency == pytest.approx(bound, rel=5e-3)
+    (tmp_path / "f.yaml").write_text("healthy: {gain_per_k: 1e-5}\nnominal_f0_hz: 1e4")
+    assert read_fleet(tmp_path / "f.yaml").healthy.gain_per_k == 1e-5
 
 
 @pytest.mark.parametrize(

@@ -77,12 +77,20 @@ def read_fleet(path: Path) -> Fleet:
     try:
         document = load_yaml(path.read_text(encoding="utf-8"))
         sizes = document.get("healthy") if isinstance(document, dict) else None
-        healthy = HealthySpread.from_mapping(sizes) if isinstance(sizes, dict) else None
+        healthy = HealthySpread.from_mapping({name: _number(size) for name, size in sizes.items()}) if isinstance(sizes, dict) else None
     except (OSError, ValueError, TypeError) as error:
         raise DataError(f"Fleet file {path.name} must be YAML with nominal_f0_hz and healthy, but got: {error}") from error
     if healthy is None:
         raise DataError(f"Fleet file {path.name} must have a part `healthy` of names and sizes, but got none. Make it by gyro-calib fleet.")
-    return Fleet(document.get("nominal_f0_hz", math.nan), healthy, tuple(map(str, document.get("units") or ())))
+    return Fleet(_number(document.get("nominal_f0_hz", math.nan)), healthy, tuple(map(str, document.get("units") or ())))
+
+
+def _number(size: Any) -> Any:
+    """What people write as 1e-5 is a text to YAML, which wants 1.0e-5."""
+    try:
+        return float(size) if isinstance(size, str) else size
+    except ValueError:
+        return size
 
 
 def write_fleet(path: Path, nominal_f0_hz: float, units: Sequence[str], sizes: Sequence[FleetSize]) -> Fleet:
@@ -107,7 +115,7 @@ def write_fleet(path: Path, nominal_f0_hz: float, units: Sequence[str], sizes: S
         said = f"Fleet must tell a coefficient, but {len(units)} units say nothing of any"
         raise DataError(f"{said}. Warm them by 10 K in one recording each.")
     lines = [f"nominal_f0_hz: {nominal_f0_hz!r}", "units:", *(f"- {name!r}" for name in units), "healthy:"]
-    lines += [f"  {s.name}: {s.bound:.3g}  # likeliest {s.likeliest:.2g}, any device {s.usual:.3g}" for s in told]
+    lines += [f"  {s.name}: {s.bound:.2e}  # likeliest {s.likeliest:.2g}, any device {s.usual:.3g}" for s in told]
     partial = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
