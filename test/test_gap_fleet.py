@@ -110,10 +110,10 @@ def test_a_fleet_may_be_less_alike_than_any_device_is_believed_to_be() -> None:
 
 def test_two_units_are_no_fleet_and_a_fleet_without_a_temperature_run_says_nothing() -> None:
     rng = np.random.default_rng(4)
-    with pytest.raises(ValueError, match="3 units or more, but got 2"):
+    with pytest.raises(DataError, match="3 units or more, but got 2"):
         fleet_sizes([told_unit(0.1, rng) for _ in range(2)])
     nothing = Coefficients((), (), np.zeros((0, 0)), np.zeros(0))
-    with pytest.raises(ValueError, match="temperature moves"):
+    with pytest.raises(DataError, match="temperature moves"):
         fleet_sizes([nothing] * 3)
 
 
@@ -160,11 +160,12 @@ def test_sizes_of_any_digits_are_numbers_to_who_reads_them(tmp_path: Path, bound
         ("healthy: {gain_per_k: 1.0e-5}", "nominal_f0_hz > 0"),
         ("gain_per_k: 1.0e-5", "a part `healthy`"),
         ("healthy: [", "but got"),
+        ("healthy: {}\nnominal_f0_hz: 1.0e4\nunits: 5", "units must be a list"),
     ],
 )
 def test_a_file_that_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "f.yaml").write_text(text)
-    with pytest.raises(DataError, match=r"healthy|nominal") as caught:
+    with pytest.raises(DataError, match=r"healthy|nominal|units") as caught:
         read_fleet(tmp_path / "f.yaml")
     assert said in str(caught.value)
 

@@ -143,7 +143,7 @@ def test_columns_of_another_scale_than_the_loops_reading_are_no_error_of_the_loo
 
 @pytest.mark.parametrize(("size", "counts"), [(5e-5, False), (1.2e-4, True)])
 def test_zeros_of_demodulators_and_set_points_are_no_error_of_the_loops(size: float, counts: bool) -> None:
-    """Five healthy hemispheres of a twenty-ninth plant held up to 5e-5."""
+    """Three healthy hemispheres of a twenty-ninth plant held up to 5e-5."""
     found = loop_effects(records(ring(q=size, psi=-size), [Command("ftr_x"), Command("ftr_y")], 5.0, noisy=True), {})
     assert bool(found.effects) is counts
     limits = [s.excluded_above.value for s in found.standings if s.excluded_above is not None]

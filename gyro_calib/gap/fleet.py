@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 
+from ..errors import DataError
 from .healthy import HealthySpread, size_of
 from .sizes import log_evidence, what_data_say
 from .system import Solution
@@ -119,14 +120,14 @@ def fleet_sizes(units: Sequence[Coefficients]) -> tuple[FleetSize, ...]:
 
     Raises
     ------
-    ValueError
+    DataError
         Fewer than three units, or none that tells a coefficient.
     """
     if len(units) < FEWEST_UNITS:
-        raise ValueError(f"a fleet must be {FEWEST_UNITS} units or more, but got {len(units)}.")
+        raise DataError(f"A fleet must be {FEWEST_UNITS} units or more, but got {len(units)}. Record more of them.")
     names = [f.name for f in fields(HealthySpread) if any(f.name in unit.sizes for unit in units)]
     if not names:
-        raise ValueError("none of the units tells a coefficient: each needs a recording in which the temperature moves.")
+        raise DataError("A fleet must tell a coefficient, but none of its units does. Record each while the temperature moves.")
     told = [(_places(unit, names), unit) for unit in units]
 
     def missed(logs: FloatArray) -> tuple[float, FloatArray]:

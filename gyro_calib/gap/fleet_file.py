@@ -82,7 +82,10 @@ def read_fleet(path: Path) -> Fleet:
         raise DataError(f"Fleet file {path.name} must be YAML with nominal_f0_hz and healthy, but got: {error}") from error
     if healthy is None:
         raise DataError(f"Fleet file {path.name} must have a part `healthy` of names and sizes, but got none. Make it by gyro-calib fleet.")
-    return Fleet(_number(document.get("nominal_f0_hz", math.nan)), healthy, tuple(map(str, document.get("units") or ())))
+    units = document.get("units") or []
+    if not isinstance(units, list):
+        raise DataError(f"Fleet file {path.name}: units must be a list of identities, but got {units!r}. Leave it out if they have none.")
+    return Fleet(_number(document.get("nominal_f0_hz", math.nan)), healthy, tuple(map(str, units)))
 
 
 def _number(size: Any) -> Any:

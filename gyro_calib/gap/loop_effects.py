@@ -32,7 +32,7 @@ LOOP_EFFECTS = ("loop_error", "angle_latency")
 
 #: what a loop may leave of its error after it has settled, of the amplitude (sd)
 _SETTLED = 1e-6
-#: quadrature and azimuth that zeros of demodulators and set points leave: five healthy hemispheres of a plant held up to 5e-5, and
+#: quadrature and azimuth that zeros of demodulators and set points leave: three healthy hemispheres of a plant held up to 5e-5, and
 #: effects.md has 1e-4 to 1e-2 as an effect
 _ZEROS = {"a": 0.0, "q": 9e-5, "psi": 9e-5}
 #: an amplitude that misses its set point by another scale of columns and loop: at most, to what share of it alike in all records, and how
@@ -114,7 +114,7 @@ def _scale_of_columns(recordings: Sequence[Recording], held: Mapping[str, FloatA
 
 def _said(scale: float) -> str:
     return (
-        f"Amplitudes are {1.0 + scale:.6f} of their set points in all recordings alike, warm and cold: the columns' scale is not that of "
+        f"Amplitudes are {1.0 + scale:.6f} of their set points in all recordings alike: the columns' scale is not that of "
         "the loop's own reading. Drives and pick-offs are taken as recorded; no rate depends on it."
     )
 

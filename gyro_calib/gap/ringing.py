@@ -26,7 +26,6 @@ from .rate_table import step_rows
 __all__ = ["Ringing", "find_ringing"]
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 #: what is left to a motor after a step, and before the next one [s]; shortest and longest time that is asked after it
 _MOTOR_S, _BEFORE_S, _LEAST_S, _MOST_S = 0.15, 0.05, 0.7, 4.0
 #: how a motor creeps to its speed: decays that have a size of their own after each step [s]

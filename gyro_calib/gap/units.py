@@ -25,7 +25,7 @@ class Unit:
     verdict : str
         Of its diagnosis.
     effects : tuple of str
-        What was found, if not all of it is harmless.
+        Those found that are not harmless.
     coefficients : Coefficients
     """
 
