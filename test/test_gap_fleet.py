@@ -20,7 +20,8 @@ from gyro_calib.gap import diagnose
 from gyro_calib.gap.fleet import Coefficients, FleetSize, _evidence, fleet_sizes, fleet_spread
 from gyro_calib.gap.fleet_file import read_fleet, write_fleet
 from gyro_calib.gap.healthy import _SIZE_OF, HealthySpread
-from gyro_calib.gap.units import Unit, fleet_of
+from gyro_calib.gap.units import Unit, fleet_of, units_of_files
+from gyro_calib.recording.hdf5 import write_campaign_h5
 from gyro_calib.recording.recording import Campaign
 from gyro_calib.simulation import GyroSimulator
 
@@ -204,7 +205,7 @@ def test_the_command_writes_what_a_diagnosis_reads(
         name = campaign.device_id
         return unit(name, "unknown" if name == "d" else "none", seed=ord(name))
 
-    monkeypatch.setattr("gyro_calib.recording.load.load_campaign", lambda path, topic=None: Campaign(path.stem, (), {}))
+    monkeypatch.setattr("gyro_calib.gap.units.load_campaign", lambda path, topic=None: Campaign(path.stem, (), {}))
     monkeypatch.setattr("gyro_calib.gap.units.unit_of", diagnosed)
     out = tmp_path / "fleet.yaml"
     assert main(["fleet", *(f"{name}.h5" for name in "abcd"), "--yaml", str(out)]) == 0
@@ -216,6 +217,14 @@ def test_the_command_writes_what_a_diagnosis_reads(
     assert main(["fleet", "a.h5", "d.h5", "--yaml", str(out)]) == 1
     assert "3 healthy units or more" in capsys.readouterr().err
     assert out.read_text().startswith("healthy: {}"), "what was there stays"
+
+
+def test_what_a_process_of_its_own_refuses_is_said_as_by_one(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    for path in paths:
+        path.write_text("no recording")
+    with pytest.raises(DataError, match=r"[ab]\.h5"):
+        units_of_files(paths, jobs=2, on_done=pytest.fail)
 
 
 # -- what a diagnosis sees beside a fleet -------------------------------------------------------------------------------------------------
@@ -245,6 +254,18 @@ def test_a_gain_as_any_device_may_have_it_is_an_effect_of_one_of_a_fleet() -> No
     assert found.effects[0].gain > 30.0
     # and one that is as its fleet is stays healthy
     assert diagnose(recorded(15), healthy=spread).verdict == "none"
+
+
+@pytest.mark.slow
+def test_two_processes_tell_what_one_tells(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    for path, seed in zip(paths, (12, 13), strict=True):
+        write_campaign_h5(path, recorded(seed))
+    one, two = (units_of_files(paths, jobs=jobs, on_done=str) for jobs in (1, 2))
+    assert [u.device_id for u in two] == [u.device_id for u in one]
+    for a, b in zip(one, two, strict=True):
+        assert (a.verdict, a.effects, a.coefficients.names) == (b.verdict, b.effects, b.coefficients.names)
+        np.testing.assert_allclose(a.coefficients.information, b.coefficients.information, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.slow

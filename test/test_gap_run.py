@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 import time
@@ -20,7 +21,7 @@ from gyro_calib.errors import DataError
 from gyro_calib.experiments import SimulatedInstrument, gap_plan
 from gyro_calib.gap import Unknown
 from gyro_calib.gap.healthy import HealthySpread
-from gyro_calib.nodes.gap_run import GapRun, healthy_of_fleet
+from gyro_calib.nodes.gap_run import GapRun, fleet_of_kind
 from gyro_calib.nodes.run_manager import RunManager, RunState, RunStatus
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.command import Command
@@ -165,11 +166,14 @@ def test_a_unit_is_judged_beside_its_fleet(diagnose: Replaced, tmp_path: Path) -
     file = tmp_path / "fleet.yaml"
     file.write_text("nominal_f0_hz: 15000.0\nhealthy: {axis_gain_per_k: 2.0e-6}\n")
     bench = Bench(tmp_path)
-    healthy = healthy_of_fleet(str(file), bench.instrument.factory)
-    bench.work = GapRun(bench.instrument, bench.plan, beside=bench.records, healthy=healthy)
-    assert bench.run().state is RunState.DONE
+    fleet = fleet_of_kind(str(file), bench.instrument.factory)
+    bench.work = GapRun(bench.instrument, bench.plan, beside=bench.records, fleet=fleet)
+    status = bench.run()
+    assert (status.state, status.facts["fleet"]) == (RunState.DONE, "fleet.yaml")
     assert diagnose.healthy == [HealthySpread(axis_gain_per_k=2e-6)]
-    assert healthy_of_fleet("", bench.instrument.factory) is None
+    document = json.loads(Path(status.facts["gap.json"]).read_text())
+    assert document["provenance"]["fleet"] == {"name": "fleet.yaml", "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    assert fleet_of_kind("", bench.instrument.factory) is None
 
 
 # -- over ROS ---------------------------------------------------------------------------------------------------------------------------

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _usage("--patched-device needs --device: the description whose linear part and effects are replaced")
     with spinner("loading"):
         from ..gap import diagnose
+        from ..gap.provenance import with_provenance
         from ..recording.load import load_campaign
         from ..report.theme import require_matplotlib
 
@@ -52,13 +50,11 @@ def run(arguments: argparse.Namespace) -> int:
         from ..gap.patch import check_kind
 
         check_kind(device, campaign.factory)
-    healthy = None
     if fleet is not None:
         fleet.check_kind(campaign.factory)
-        healthy = fleet.healthy
     with progress_bar("diagnosing") as report:
-        diagnosis = diagnose(campaign, healthy=healthy, on_progress=report)
-    diagnosis = with_provenance(diagnosis, arguments.recordings, arguments.fleet)
+        diagnosis = diagnose(campaign, healthy=fleet.healthy if fleet else None, on_progress=report)
+    diagnosis = with_provenance(diagnosis, arguments.recordings, fleet)
     shown = arguments.json is None or str(arguments.json) != "-"
     try:
         # before the terminal, which may be gone: `| head` closes it
@@ -101,17 +97,6 @@ def print_diagnosis(diagnosis: Diagnosis, *, every: bool = False) -> None:
         say(f"Not testable with these recordings: {', '.join(diagnosis.not_testable)}.")
 
 
-def with_provenance(diagnosis: Diagnosis, paths: Sequence[Path], fleet: Path | None = None) -> Diagnosis:
-    """The diagnosis with the version of the package and the hashes of what was read."""
-    from ..paths import package_version
-
-    inputs = [{"name": path.name, "sha256": _sha256(path)} for path in paths]
-    read: dict[str, object] = {"package_version": package_version(), "inputs": inputs}
-    if fleet is not None:
-        read["fleet"] = {"name": fleet.name, "sha256": _sha256(fleet)}
-    return replace(diagnosis, provenance={**diagnosis.provenance, **read})
-
-
 def _device(source: str | None) -> Device | None:
     from ..device import load_device
 
@@ -137,23 +122,6 @@ def _write_patched(path: Path, device: Device, campaign: Campaign, diagnosis: Di
         say(f"patched device: {path}")
         for note in notes[2:4]:
             say(f"  {note}")
-
-
-def _sha256(path: Path) -> str:
-    """Of a file, or of the files of a folder in the order of their names."""
-    digest = hashlib.sha256()
-    for file in _files(path):
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
-    return digest.hexdigest()
-
-
-def _files(path: Path) -> Iterator[Path]:
-    if path.is_dir():
-        yield from sorted(file for file in path.rglob("*") if file.is_file())
-    else:
-        yield path
 
 
 def _usage(text: str) -> int:

@@ -7,15 +7,15 @@ sees of another unit what is small beside what any gyro may have, and large besi
 from __future__ import annotations
 
 import argparse
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .console import print_table, print_warnings, progress_bar, say, spinner
+from .console import positive_int, print_table, print_warnings, progress_bar, say, spinner
 from .outputs import check_outputs
 
 if TYPE_CHECKING:
     from ..gap.fleet import FleetSize
-    from ..gap.units import Unit
     from ..report.table import Table
 
 
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("units", nargs="+", type=Path, metavar="UNIT", help="HDF5 file, ROS 2 bag or folder, each of another healthy unit")
     parser.add_argument("--yaml", type=Path, metavar="FILE", default=Path("fleet.yaml"), help="where to write it")
+    parser.add_argument("--jobs", type=positive_int, default=1, metavar="J", help="processes, each of up to a gigabyte")
     parser.add_argument("--topic", metavar="TOPIC", help="the channels topic, for a bag of several gyros")
 
 
@@ -31,15 +32,16 @@ def run(arguments: argparse.Namespace) -> int:
     with spinner("loading"):
         from ..gap.fleet import fleet_sizes
         from ..gap.fleet_file import write_fleet
-        from ..gap.units import fleet_of, unit_of
-        from ..recording.load import load_campaign
+        from ..gap.units import fleet_of, units_of_files
 
     check_outputs(arguments, "yaml")
-    units: list[Unit] = []
+    done = itertools.count(1)
     with progress_bar("diagnosing", lines=True) as report:
-        for k, path in enumerate(arguments.units):
-            units.append(unit_of(load_campaign(path, topic=arguments.topic)))
-            report((k + 1) / len(arguments.units), units[-1].device_id)
+
+        def told(device_id: str) -> None:
+            report(next(done) / len(arguments.units), device_id)
+
+        units = units_of_files(arguments.units, topic=arguments.topic, jobs=arguments.jobs, on_done=told)
     healthy, warnings = fleet_of(units)
     sizes = fleet_sizes([unit.coefficients for unit in healthy])
     fleet = write_fleet(arguments.yaml, healthy[0].nominal_f0_hz, [unit.device_id for unit in healthy], sizes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -36,6 +37,8 @@ class Fleet:
     healthy : HealthySpread
     units : tuple of str
         Identities of those that tell it; empty where it was written by hand.
+    name, sha256 : str
+        Of the file that it was read from; empty where it was not.
 
     Raises
     ------
@@ -46,6 +49,8 @@ class Fleet:
     nominal_f0_hz: float
     healthy: HealthySpread
     units: tuple[str, ...] = ()
+    name: str = ""
+    sha256: str = ""
 
     def __post_init__(self) -> None:
         f0 = self.nominal_f0_hz
@@ -75,7 +80,8 @@ def read_fleet(path: Path) -> Fleet:
         Not readable, not YAML, a size that there is not or that is not positive.
     """
     try:
-        document = load_yaml(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        document = load_yaml(content.decode())
         sizes = document.get("healthy") if isinstance(document, dict) else None
         healthy = HealthySpread.from_mapping({name: _number(size) for name, size in sizes.items()}) if isinstance(sizes, dict) else None
     except (OSError, ValueError, TypeError) as error:
@@ -85,7 +91,8 @@ def read_fleet(path: Path) -> Fleet:
     units = document.get("units") or []
     if not isinstance(units, list):
         raise DataError(f"Fleet file {path.name}: units must be a list of identities, but got {units!r}. Leave it out if they have none.")
-    return Fleet(_number(document.get("nominal_f0_hz", math.nan)), healthy, tuple(map(str, units)))
+    nominal_f0_hz = _number(document.get("nominal_f0_hz", math.nan))
+    return Fleet(nominal_f0_hz, healthy, tuple(map(str, units)), path.name, hashlib.sha256(content).hexdigest())
 
 
 def _number(size: Any) -> Any:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from pathlib import Path
 
 from ..errors import DataError
+from ..recording.load import load_campaign
 from ..recording.recording import Campaign
 from .diagnose import diagnose
 from .fleet import FEWEST_UNITS, Coefficients
 from .patch import ONE_KIND
 
-__all__ = ["Unit", "fleet_of", "unit_of"]
+__all__ = ["Unit", "fleet_of", "unit_of", "units_of_files"]
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,46 @@ def unit_of(campaign: Campaign) -> Unit:
     assert found.estimate.coefficients is not None
     harm = tuple(e.name for e in found.effects if not e.harmless)
     return Unit(campaign.device_id, float(campaign.factory["nominal_f0_hz"]), found.verdict, harm, found.estimate.coefficients)
+
+
+def units_of_files(paths: Sequence[Path], *, topic: str | None = None, jobs: int = 1, on_done: Callable[[str], None]) -> list[Unit]:
+    """Diagnose a unit of each file, in the order of the files.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    topic : str, optional
+        Of the channels, for bags of several gyros.
+    jobs : int
+        Processes, each of up to a gigabyte.
+    on_done : callable
+        Called with the identity of each unit that is done.
+
+    Raises
+    ------
+    DataError
+        As of :func:`.diagnose.diagnose` and of :func:`.load_campaign`.
+    """
+    if jobs == 1 or len(paths) < 2:
+        units = []
+        for path in paths:
+            units.append(_unit_of_file(path, topic))
+            on_done(units[-1].device_id)
+        return units
+    # spawned, not forked: numerical libraries have threads that a fork would break
+    with ProcessPoolExecutor(min(jobs, len(paths)), mp_context=multiprocessing.get_context("spawn")) as pool:
+        waiting = [pool.submit(_unit_of_file, path, topic) for path in paths]
+        try:
+            for future in as_completed(waiting):
+                on_done(future.result().device_id)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [future.result() for future in waiting]
+
+
+def _unit_of_file(path: Path, topic: str | None) -> Unit:
+    return unit_of(load_campaign(path, topic=topic))
 
 
 def fleet_of(units: Sequence[Unit]) -> tuple[list[Unit], list[str]]:

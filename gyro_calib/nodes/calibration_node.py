@@ -46,7 +46,7 @@ from .calibration_runs import RUNS, CalibrationRun, KeptRecordings
 from .calibration_topics import CalibrationTopics
 from .company import refuse_company
 from .compensation_keeper import CompensationKeeper
-from .gap_run import GapRun, healthy_of_fleet
+from .gap_run import GapRun, fleet_of_kind
 from .gyro_client import GyroClient
 from .gyro_watch import GyroFacts, GyroWatch, MonitoredInstrument
 from .recording_run import RecordingRun
@@ -153,8 +153,8 @@ class CalibrationNode(Node):
         artifacts = Path(settings.artifacts_dir).expanduser() if settings.artifacts_dir else None
         work: RecordingRun
         if kind.diagnoses:
-            healthy = healthy_of_fleet(settings.fleet, facts.factory)
-            work = GapRun(self._instrument, plan, beside=self._in_force.path, artifacts=artifacts, healthy=healthy)
+            fleet = fleet_of_kind(settings.fleet, facts.factory)
+            work = GapRun(self._instrument, plan, beside=self._in_force.path, artifacts=artifacts, fleet=fleet)
         else:
             work = CalibrationRun(
                 self._instrument,

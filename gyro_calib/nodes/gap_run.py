@@ -22,9 +22,9 @@ from .run_manager import Outcome, RunHandle
 
 if TYPE_CHECKING:
     from ..gap import Diagnosis
-    from ..gap.healthy import HealthySpread
+    from ..gap.fleet_file import Fleet
 
-__all__ = ["GapRun", "healthy_of_fleet"]
+__all__ = ["GapRun", "fleet_of_kind"]
 
 #: wait for another writer beside the records [s]
 _LOCK_TIMEOUT_S = 10.0
@@ -45,15 +45,15 @@ class GapRun(RecordingRun):
         The file of the gyro's records; ``<stem>.gap.json`` and ``<stem>.gap.html`` are written beside it, the last diagnosis only.
     artifacts : Path, optional
         As of :class:`.recording_run.RecordingRun`.
-    healthy : HealthySpread, optional
+    fleet : Fleet, optional
         What healthy units of this kind have.
     """
 
     def __init__(
-        self, instrument: Instrument, plan: Plan, *, beside: Path, artifacts: Path | None = None, healthy: HealthySpread | None = None
+        self, instrument: Instrument, plan: Plan, *, beside: Path, artifacts: Path | None = None, fleet: Fleet | None = None
     ) -> None:
         super().__init__(instrument, plan, artifacts)
-        self._healthy = healthy
+        self._fleet = fleet
         self._leg = Leg(1, plan, 0.0, plan.duration_s + _DIAGNOSIS_S)
         self._beside = beside
 
@@ -62,7 +62,7 @@ class GapRun(RecordingRun):
         rest = replace(self._plan.final, compensation=compensation_in_force(self._instrument))
         campaign = self._record(run, rest)
         self._write(run, campaign)
-        diagnosis = _diagnosed(run, campaign, self._healthy, self._leg.fraction(1.0))
+        diagnosis = _diagnosed(run, campaign, self._fleet, self._leg.fraction(1.0))
         run.commit()
         for sentence in self._plan.left_out:
             run.note(sentence)
@@ -88,8 +88,8 @@ class GapRun(RecordingRun):
         return written
 
 
-def healthy_of_fleet(path: str, factory: Mapping[str, Any]) -> HealthySpread | None:
-    """What the units of a fleet's file have, None without a file.
+def fleet_of_kind(path: str, factory: Mapping[str, Any]) -> Fleet | None:
+    """The fleet of a file, which must be of the gyro's kind; None without a file.
 
     Raises
     ------
@@ -102,12 +102,13 @@ def healthy_of_fleet(path: str, factory: Mapping[str, Any]) -> HealthySpread | N
 
     fleet = read_fleet(Path(path).expanduser())
     fleet.check_kind(factory)
-    return fleet.healthy
+    return fleet
 
 
-def _diagnosed(run: RunHandle, campaign: Campaign, healthy: HealthySpread | None, recorded: float) -> Diagnosis:
+def _diagnosed(run: RunHandle, campaign: Campaign, fleet: Fleet | None, recorded: float) -> Diagnosis:
     """The diagnosis, which takes the run from the part ``recorded`` to its end."""
     from ..gap import diagnose  # takes a moment to load, and no other run needs it
+    from ..gap.provenance import with_provenance
 
     started_s = time.monotonic()
 
@@ -120,7 +121,8 @@ def _diagnosed(run: RunHandle, campaign: Campaign, healthy: HealthySpread | None
 
     told(0.0, "reading")
     factory = FactoryStore(None, campaign.device_id).load()
-    return diagnose(with_factory_record(campaign, factory), healthy=healthy, on_progress=told)
+    healthy = fleet.healthy if fleet else None
+    return with_provenance(diagnose(with_factory_record(campaign, factory), healthy=healthy, on_progress=told), fleet=fleet)
 
 
 def _facts(diagnosis: Diagnosis) -> dict[str, str]:
@@ -132,6 +134,8 @@ def _facts(diagnosis: Diagnosis) -> dict[str, str]:
         facts[f"effect_{number}.probability"] = f"{effect.probability:.3f}"
     if diagnosis.unknown is not None:
         facts |= {f"unknown.{key}": str(getattr(diagnosis.unknown, key) or "none") for key in ("location", "form", "nearest")}
+    if "fleet" in diagnosis.provenance:
+        facts["fleet"] = diagnosis.provenance["fleet"]["name"]
     facts["not_testable"] = ", ".join(diagnosis.not_testable)
     facts["next_experiment"] = diagnosis.next_experiment.description
     if diagnosis.warnings:
