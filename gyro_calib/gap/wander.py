@@ -8,7 +8,8 @@ as fast as the wave turns: of a healthy hemisphere of a nineteenth plant that le
 cube of a pick-off that it did not have took 63 of them; followed it leaves 1385.
 
 Where the temperature or the rate moves, or the amplitude is modulated, effects move the resonance as well and have their own column there;
-those recordings are left alone. So is what goes with the azimuth of waves that turn, if it is more than a wander makes by chance.
+those recordings are left alone here, and those that warm are asked how much of it feeds through (:mod:`.wander_feeds`). Left alone is what
+goes with the azimuth of waves that turn, too, if it is more than a wander makes by chance.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from .nuisance import SWITCHED
 from .parts import Linear
 from .whittle import likeliest
 
-__all__ = ["Spectrum", "harmonics_of", "tells_its_wander", "wander_within"]
+__all__ = ["FASTEST_HZ", "Spectrum", "harmonics_of", "is_moved_by_temperature", "tells_its_wander", "wander_within"]
 
 FloatArray = NDArray[np.float64]
 #: highest frequency of a wander that is followed [Hz]
-_FASTEST_HZ = 2.0
+FASTEST_HZ = 2.0
 #: azimuth that a wave at rest keeps to [rad]; harmonics of the azimuth that belong to the device
 _AT_REST, _HARMONICS = 0.3, (2.0, 4.0)
 #: chi-square of those harmonics, four sizes, that a wander does not reach; share of what recordings would take with sizes of their own
@@ -61,7 +62,7 @@ class Spectrum:
         f, squares = [], []
         for k, x in courses.items():
             hz = _frequencies(len(x), row_s[k])
-            heard = (hz > 0.0) & (hz < _FASTEST_HZ)
+            heard = (hz > 0.0) & (hz < FASTEST_HZ)
             f.append(hz[heard])
             squares.append(2.0 * row_s[k] * _cosines(x)[heard] ** 2)
         own = np.concatenate(f)
@@ -72,14 +73,14 @@ class Spectrum:
         """The part of rows that is wander, by Wiener; their mean is."""
         hz = _frequencies(len(x), row_s)
         f = np.maximum(hz, hz[1])
-        share = np.where(hz < _FASTEST_HZ, self._slow(f) / np.maximum(self._whole(f), 1e-300), 0.0)
+        share = np.where(hz < FASTEST_HZ, self._slow(f) / np.maximum(self._whole(f), 1e-300), 0.0)
         share[0] = 1.0
         return np.asarray(idct(share * _cosines(x), norm="ortho"))
 
     def whitened(self, x: FloatArray, row_s: float) -> FloatArray:
         """Half cosines of rows within what is followed, but for their mean, in units of their standard deviations."""
         hz = _frequencies(len(x), row_s)
-        heard = (hz > 0.0) & (hz < _FASTEST_HZ)
+        heard = (hz > 0.0) & (hz < FASTEST_HZ)
         return np.asarray(_cosines(x)[heard] * np.sqrt(2.0 * row_s / np.maximum(self._whole(hz[heard]), 1e-300)))
 
     def _slow(self, f: FloatArray) -> FloatArray:
@@ -103,9 +104,18 @@ def wander_within(evidence: CampaignEvidence, linear: Linear) -> tuple[FloatArra
 
 def tells_its_wander(r: RecordingEvidence) -> bool:
     """Whether nothing but the resonator's own millikelvins moves the frequency of a recording's wave."""
+    return _is_left_to_itself(r) and not r.is_warming
+
+
+def is_moved_by_temperature(r: RecordingEvidence) -> bool:
+    """Whether nothing but a temperature that is on its way moves it."""
+    return _is_left_to_itself(r) and r.is_warming
+
+
+def _is_left_to_itself(r: RecordingEvidence) -> bool:
     command = r.recording.command
     still = command.excitation.kind == "none" and command.mode not in SWITCHED
-    return r.is_wave and still and not r.is_warming and not is_turned(r.recording)
+    return r.is_wave and still and not is_turned(r.recording)
 
 
 def harmonics_of(
