@@ -18,6 +18,7 @@ from gyro_calib.gap.model import CampaignModel
 from gyro_calib.gap.select import select_effects
 from gyro_calib.gap.signals import Signals
 from gyro_calib.gap.spectral_effects import SpectralEffects, found_beside, spectral_effects
+from gyro_calib.gap.system import NoiseByRole
 from gyro_calib.gap.unseen_steps import _held_v, _sizes, with_unseen_steps
 from gyro_calib.quantity import Quantity
 from gyro_calib.recording.recording import Recording
@@ -42,18 +43,18 @@ def model() -> CampaignModel:
     return table_model()
 
 
-def sampled(lsb_v: float) -> list[Recording]:
+def sampled(lsb_v: float, noise: float = 0.1) -> list[Recording]:
     """With drives as a converter of such steps makes them."""
     rng, found = np.random.default_rng(5), []
     for r in on_a_table():
         t = np.arange(2000) / 200e3
-        drive = 0.7 * np.cos(2.0 * np.pi * 15e3 * t) + 0.1 * lsb_v * rng.standard_normal(t.size)
+        drive = 0.7 * np.cos(2.0 * np.pi * 15e3 * t) + noise * lsb_v * rng.standard_normal(t.size)
         found.append(replace(r, raw={"t": t, "x_drive": lsb_v * np.round(drive / lsb_v) if lsb_v else drive}))
     return found
 
 
-def findings(lsb_v: float, of: CampaignModel, without: tuple[str, ...] = ()) -> SpectralEffects:
-    recordings = sampled(lsb_v)
+def findings(lsb_v: float, of: CampaignModel, without: tuple[str, ...] = (), noise: float = 0.1) -> SpectralEffects:
+    recordings = sampled(lsb_v, noise)
     return with_coarse_drive(spectral_effects(recordings, of.linear, without), of, recordings, without)
 
 
@@ -79,6 +80,16 @@ def test_steps_that_do_nothing_are_no_effect() -> None:
     found = findings(LSB_V, model())
     assert found.effects == ()
     assert status(found) == ["excluded"]
+
+
+def test_steps_that_noise_covers_are_told_by_the_noise_that_they_make() -> None:
+    """Beside noise of steps a drive is as if it were not rounded, and its waves are as loud as q^2/12 a sample makes them."""
+    gain, white = float(np.abs(np.diag(model().linear.G)).max()), 1e-10
+    lsb = float(np.sqrt(12.0 * white * 200e3 / 2.0)) / gain
+    for share, said in ((0.2, "present"), (0.01, "excluded")):
+        loud = {key: replace(law, coefficients=(white / share, *law.coefficients[1:])) for key, law in model().noise.items()}
+        found = findings(lsb, replace(model(), noise=cast(NoiseByRole, loud)), noise=3.0)
+        assert status(found) == [said]
 
 
 def test_a_tone_within_half_a_step_of_the_drives_is_what_rounding_makes() -> None:
