@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..recording.recording import Recording
 from .faint_lines import shared_line
+from .line_frequency import shift_of_line
 from .parts import Linear
 from .spectra import PickSpectrum, detrended, steep_window
 
@@ -34,8 +35,8 @@ _FAINT_MARGIN = 13.0
 _SHOWN, _FEWEST = 8.0, 2
 #: nearer to the carrier than this the loops mirror a tone, and it is not told from a hum [Hz]
 _MIRRORED_HZ = 20.0
-#: what a line between two bins is read too small by, at most
-_BETWEEN_BINS = 0.06
+#: what a line is read too small by, at most: a wave that turns parts it in two
+_PARTED = 0.06
 #: a line is the wave's where its power goes with the wave's by so much better than with nothing, if it is another from record to record
 _OF_WAVE, _UNLIKE = 0.5, 0.05
 #: least power of one side band over the other's for both to be those of a hum
@@ -148,27 +149,29 @@ def _told(spectra: Sequence[PickSpectrum], line: _Line, linear: Linear, evidence
         np.sum([s.at(np.array([side * f]))[0] - 1.0 for s, f in zip(used, places, strict=True)], axis=0) for side in (1.0, -1.0)
     )
     even = bool(np.min([upper.max(), lower.max()]) > _EVEN * np.max([upper.max(), lower.max()]))
+    sign = 1.0 if upper.max() >= lower.max() else -1.0
+    farther, frequency_sd = shift_of_line(used, places, (1.0, -1.0) if even else (sign,))
+    places = [f + farther for f in places]
     distance = float(np.median(np.abs(places)))
     mirrored = distance < _MIRRORED_HZ
     name = "mains_pickup" if even and (line.hum or not mirrored) else "external_tone"
     other = "external_tone" if name == "mains_pickup" else "mains_pickup"
     hum = name == "mains_pickup"
     sizes = np.array([_volts(s.recording, f, linear, hum=hum) for s, f in zip(used, places, strict=True)])
-    sign = 1.0 if upper.max() >= lower.max() else -1.0
     # the bin of a faint line holds the floor as well
     beyond = np.maximum(0.5 * (upper + lower) if hum else np.maximum(upper, lower), 0.0)
     volts = np.sqrt(np.mean(sizes**2, axis=0) * beyond / (beyond + len(used)))
     scatter = np.std(sizes**2, axis=0) / math.sqrt(len(used)) + 1e-300
     carrier = float(np.median([s.carrier_hz for s in used]))
-    frequency = distance if hum else (line.frequency_hz if not line.hum else carrier + sign * distance)
+    frequency = distance if hum else (line.frequency_hz + farther if not line.hum else carrier + sign * distance)
     return Tone(
         name=name,
         # one line: volts o on the pick-offs and a force L[o] are the same
         alike=((other,) if mirrored and even else ()) + (() if hum else ("pickoff_interference",)),
         frequency_hz=frequency,
-        frequency_sd_hz=0.3 * max(s.bin_hz for s in used) / math.sqrt(len(used)),
+        frequency_sd_hz=frequency_sd,
         volts=volts,
-        volts_sd=np.hypot(0.5 * scatter / np.sqrt(np.maximum(volts**2, scatter)), _BETWEEN_BINS * volts) + 1e-12,
+        volts_sd=np.hypot(0.5 * scatter / np.sqrt(np.maximum(volts**2, scatter)), _PARTED * volts) + 1e-12,
         log_evidence=evidence,
         share=float(np.median([_share(s.recording, f) for s, f in zip(used, places, strict=True)])),
         of_wave=hum and _goes_with_the_wave(sizes**2, [s.recording for s in used]),
