@@ -53,8 +53,8 @@ def sampled(lsb_v: float, noise: float = 0.1) -> list[Recording]:
     return found
 
 
-def findings(lsb_v: float, of: CampaignModel, without: tuple[str, ...] = (), noise: float = 0.1) -> SpectralEffects:
-    recordings = sampled(lsb_v, noise)
+def findings(lsb_v: float, of: CampaignModel, without: tuple[str, ...] = ()) -> SpectralEffects:
+    recordings = sampled(lsb_v)
     return with_coarse_drive(spectral_effects(recordings, of.linear, without), of, recordings, without)
 
 
@@ -86,9 +86,10 @@ def test_steps_that_noise_covers_are_told_by_the_noise_that_they_make() -> None:
     """Beside noise of steps a drive is as if it were not rounded, and its waves are as loud as q^2/12 a sample makes them."""
     gain, white = float(np.abs(np.diag(model().linear.G)).max()), 1e-10
     lsb = float(np.sqrt(12.0 * white * 200e3 / 2.0)) / gain
-    for share, said in ((0.2, "present"), (0.01, "excluded")):
+    for share, full_scale_v, said in ((0.2, 5.0, "present"), (0.01, 5.0, "excluded"), (0.2, 50.0, "excluded")):
         loud = {key: replace(law, coefficients=(white / share, *law.coefficients[1:])) for key, law in model().noise.items()}
-        found = findings(lsb, replace(model(), noise=cast(NoiseByRole, loud)), noise=3.0)
+        of, recordings = replace(model(), noise=cast(NoiseByRole, loud)), sampled(lsb, 3.0)
+        found = with_coarse_drive(spectral_effects(recordings, of.linear, ()), of, recordings, (), full_scale_v)
         assert status(found) == [said]
 
 

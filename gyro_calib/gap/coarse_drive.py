@@ -31,7 +31,7 @@ from .signals import Signals
 from .spectral_effects import SIGMA, SpectralEffects, found_beside
 from .strangers import MARGIN
 
-__all__ = ["NAME", "SHARE", "rounded", "with_coarse_drive", "with_steps"]
+__all__ = ["FULL_SCALE_V", "NAME", "SHARE", "rounded", "with_coarse_drive", "with_steps"]
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -46,6 +46,9 @@ _OTHERS = 3.0
 #: cycle by cycle leave ten times as much near the carrier; of more, columns hold what the converter made. 0.13 and 0.74 of two plants'
 #: coarse drives; of seven others 0.002 and less
 _FLOOR = (0.05, 2.0)
+#: full scale of a drive that no factory states [V]; finest steps over the range that a noise is blamed on: of fifteen bits. A quiet ring of a
+#: 27th plant has 0.27 of its noise from a converter of eighteen
+FULL_SCALE_V, _COARSE = 5.0, 2.0**-15
 #: terms of the series: those that noise of a twentieth of a step leaves
 _TERMS = 40
 
@@ -68,7 +71,11 @@ def rounded(amplitude: FloatArray, step_v: float, noise_steps: float) -> FloatAr
 
 
 def with_coarse_drive(
-    beside: SpectralEffects, model: CampaignModel, recordings: Sequence[Recording], left_out: Collection[str]
+    beside: SpectralEffects,
+    model: CampaignModel,
+    recordings: Sequence[Recording],
+    left_out: Collection[str],
+    full_scale_v: float = FULL_SCALE_V,
 ) -> SpectralEffects:
     """The findings beside the fit with the steps of the drives' converter, if samples show them and the slow flow what they do.
 
@@ -80,12 +87,15 @@ def with_coarse_drive(
         Those without samples at the converters' rate say nothing.
     left_out : collection of str
         Effects that the registry does not hold.
+    full_scale_v : float
+        Of the converter, to either side [V].
     """
     steps = converter_steps(recordings, ("x_drive", "y_drive"))
     if steps is None or NAME in left_out:
         return beside
     found = _asked(model, steps)
-    if found is None and not _FLOOR[0] < _share_of_noise(model, recordings, steps.lsb_v) < _FLOOR[1]:
+    coarse = steps.lsb_v > _COARSE * 2.0 * full_scale_v and _FLOOR[0] < _share_of_noise(model, recordings, steps.lsb_v) < _FLOOR[1]
+    if found is None and not coarse:
         return replace(beside, standings=_with(beside.standings, {NAME: "excluded"}))
     unseen = steps.rounded_gain if steps.undithered else SIGMA**2
     return with_steps(beside, model.linear, (steps.lsb_v, steps.lsb_sd_v), unseen if found is None else found.gain)

@@ -11,12 +11,13 @@ import numpy as np
 
 from ..effects import EFFECTS, INSEPARABLE
 from ..errors import DataError
+from ..estimation.factory_values import factory_value
 from ..quantity import Quantity
 from ..recording.recording import Campaign
 from ..units import DEG_H, PPM
 from .candidates import registry_name
 from .checks import checked
-from .coarse_drive import with_coarse_drive
+from .coarse_drive import FULL_SCALE_V, with_coarse_drive
 from .diagnosis import Diagnosis, FoundEffect, Gap, PatchedEstimate, Standing, Unknown
 from .drifts import said_course
 from .fleet import coefficients_of
@@ -104,7 +105,8 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
     open_line = find_open_line(recordings, model.linear, model.evidence.omega0_rad_s, model.evidence.temperature_degc)
     beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear), open_line)
-    beside = with_coarse_drive(beside, model, recordings, left_out)
+    full_scale_v = factory_value(campaign.factory, "dac_full_scale_V") or FULL_SCALE_V
+    beside = with_coarse_drive(beside, model, recordings, left_out, full_scale_v)
     beside = with_flickers(beside, model.evidence, model.linear, model.noise, left_out)
     selection = select_effects(model)
     beside = with_unseen_steps(beside, model, selection, left_out)
