@@ -46,8 +46,8 @@ _OTHERS = 3.0
 #: cycle by cycle leave ten times as much near the carrier; of more, columns hold what the converter made. 0.13 and 0.74 of two plants'
 #: coarse drives; of seven others 0.002 and less
 _FLOOR = (0.05, 2.0)
-#: full scale of a drive that no factory states [V]; finest steps over the range that a noise is blamed on: of fifteen bits. A quiet ring of a
-#: 27th plant has 0.27 of its noise from a converter of eighteen
+#: full scale of a drive that no factory states [V]; finest steps over the range that a noise is blamed on: of fifteen bits. Of the noise of
+#: a quiet ring of a 27th plant 0.27 is that of a converter of eighteen
 FULL_SCALE_V, _COARSE = 5.0, 2.0**-15
 #: terms of the series: those that noise of a twentieth of a step leaves
 _TERMS = 40
