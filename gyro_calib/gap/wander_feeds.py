@@ -14,6 +14,8 @@ bent coefficient of its frequency (131 in chi-square) and one a gain that lags (
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, idct
@@ -33,6 +35,8 @@ ComplexArray = NDArray[np.complex128]
 _SLIDES = 5e-8
 #: how much of what moved a resonance while it warmed is no effect's, sd
 _WANDERS = 1.0
+#: and how much it must feed through, rms over the wave's amplitude [1/s]: of 4e-3 deg/h there is nothing to ask
+_LEAST_FED = 2e-8
 
 
 def wander_feeds(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
@@ -54,6 +58,8 @@ def wander_feeds(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
                 columns.append(Column(f"wander_feeds_{r.index}_{name}", own, beside, _SLIDES * evidence.omega0_rad_s))
         elif is_moved_by_temperature(r):
             course = _measured(r, linear)
+            if _fed(r, linear, course).std() < _LEAST_FED * math.sqrt(r.mean_square):
+                continue
             own, beside = (tuple(_feeding(evidence, r, place, linear, course)) for place in (SIGNAL, QUIET))
             columns.append(Column(f"wander_feeds_{r.index}", own, beside, _WANDERS))
     return [c for c in columns if any(np.any(v) for v in c.signal)]
@@ -68,7 +74,11 @@ def _measured(r: RecordingEvidence, linear: Linear) -> FloatArray:
 
 def _feeding(evidence: CampaignEvidence, which: RecordingEvidence, place: Place, linear: Linear, course: FloatArray) -> list[ComplexArray]:
     """Of a resonance that moves by ``w(t)`` in one recording, ``-i w E u``, turned by the wave's phase, by recording."""
-    fed = -1j * course[:, None] * (which.signals.drive @ linear.E.T)
-    found = which.turn * place.projector(which).plain([fed])[:, 0]
+    found = which.turn * place.projector(which).plain([_fed(which, linear, course)])[:, 0]
     sizes = ((r.quiet if place.quiet else r.signal).lhs.size for r in evidence)
     return [found if r is which else np.zeros(size, complex) for r, size in zip(evidence, sizes, strict=True)]
+
+
+def _fed(r: RecordingEvidence, linear: Linear, course: FloatArray) -> ComplexArray:
+    """``-i w E u`` row by row, shape (n, 2)."""
+    return np.asarray(-1j * course[:, None] * (r.signals.drive @ linear.E.T))
