@@ -18,8 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..estimation.wave import wave_coordinates
-from .spectra import PickSpectrum, detrended, steep_window
+from .spectra import PickSpectrum, detrended, steep_window, turns_of
 
 __all__ = ["shift_of_line"]
 
@@ -42,10 +41,11 @@ def shift_of_line(spectra: Sequence[PickSpectrum], away_hz: Sequence[float], sid
     sides : sequence of float
         Sides of the carrier at which it stands, 1 and -1 or one of them: it lies farther to both by the same.
     """
-    standing = [k for k, s in enumerate(spectra) if _turns(s) < _STILL_TURNS]
+    turns = [turns_of(s.recording) for s in spectra]
+    standing = [k for k, turned in enumerate(turns) if turned < _STILL_TURNS]
     if standing:
         spectra, away_hz = [spectra[k] for k in standing], [away_hz[k] for k in standing]
-    apart_hz = 0.0 if standing else max(_turns(s) * s.bin_hz for s in spectra)
+    apart_hz = 0.0 if standing else max(turned * s.bin_hz for turned, s in zip(turns, spectra, strict=True))
     shifts = _FARTHEST * max(s.bin_hz for s in spectra) * np.linspace(-1.0, 1.0, _PLACES)
     power, information = np.zeros(_PLACES), 0.0
     for s, away in zip(spectra, away_hz, strict=True):
@@ -54,16 +54,11 @@ def shift_of_line(spectra: Sequence[PickSpectrum], away_hz: Sequence[float], sid
         for side in sides:
             heard = np.abs(np.exp(-2j * np.pi * side * np.outer(away + shifts, time)) @ x) ** 2
             nearest = round(side * away / s.bin_hz) * s.bin_hz
-            floor = np.abs(np.exp(-2j * np.pi * nearest * time) @ x) ** 2 / s.at(np.array([nearest]))[0]
-            over = heard / floor
+            on_bin = np.maximum(np.abs(np.exp(-2j * np.pi * nearest * time) @ x) ** 2, 1e-300)
+            over = heard * s.at(np.array([nearest]))[0] / on_bin
             power += over.sum(axis=1)
             information += float(np.sum(np.maximum(over.max(axis=0) - 1.0, 0.0))) / _variance(window, time)
     return _highest(shifts, power), math.hypot(apart_hz, 1.0 / math.sqrt(max(information, 1e-300)))
-
-
-def _turns(s: PickSpectrum) -> float:
-    azimuth = wave_coordinates(s.recording).azimuth_rad
-    return abs(float(azimuth[-1] - azimuth[0])) / (2.0 * math.pi)
 
 
 def _variance(window: FloatArray, time_s: FloatArray) -> float:

@@ -30,6 +30,7 @@ __all__ = [
     "pick_spectra",
     "plain_records",
     "steep_window",
+    "turns_of",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -179,8 +180,7 @@ def _spectrum(r: Recording) -> PickSpectrum:
     # a running median of one row of numbers is what scipy has a fast way for
     floor = np.stack([median_filter(of_axis, size=2 * _FLOOR_BINS + 1, mode="wrap") for of_axis in power.T.copy()], axis=1) / MEDIAN
     frequency = np.fft.fftshift(np.fft.fftfreq(len(r), 1.0 / r.sample_rate_hz))
-    azimuth = wave_coordinates(r).azimuth_rad
-    turning = abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi * r.duration_s)
+    turning = turns_of(r) / r.duration_s
     busy = max(turning, r.command.excitation.frequency_hz if r.command.excitation.kind != "none" else 0.0)
     clear = max(_LEAST_BINS / r.duration_s, _HARMONICS * busy)
     ratio = power / floor
@@ -198,6 +198,12 @@ def _beyond_skirt(ratio: FloatArray, clear_hz: float, bin_hz: float) -> float:
         falls = (side[:-1] > _SKIRT_POWER) & (side[1:] < side[:-1])
         ends.append(int(np.argmin(np.append(falls, False))))
     return max(clear_hz, (inner + max(ends) + 0.5) * bin_hz if max(ends) else 0.0)
+
+
+def turns_of(r: Recording) -> float:
+    """How often the wave of a recording turned, its first row to its last."""
+    azimuth = wave_coordinates(r).azimuth_rad
+    return abs(float(azimuth[-1] - azimuth[0])) / (2.0 * np.pi)
 
 
 def steep_window(count: int) -> FloatArray:
