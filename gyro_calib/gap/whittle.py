@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 Sizes = tuple[float, ...]
 #: rounds of the reweighted fit, by how much it may still change, and least density over the mean square
 _MOST_ROUNDS, _SETTLED, _LEAST = 15, 1e-4, 1e-6
+#: least density of a device without noise: the square of its inverse, added up, is a number
+_NOTHING = 1e-140
 #: squared sine between two columns from which on they are one
 _ALIKE = 1e-12
 #: of three columns
@@ -43,14 +45,14 @@ def likeliest(basis: FloatArray, squares: FloatArray, known: FloatArray | float 
     """
     size = np.maximum(basis.mean(axis=0), 1e-300)
     scaled, mean = basis / size, float(squares.mean())
-    expected = np.full(squares.size, max(mean, 1e-300))
+    expected = np.full(squares.size, max(mean, _NOTHING))
     found = np.zeros(basis.shape[1])
     for _ in range(_MOST_ROUNDS):
         before = found
         found = _nonnegative(scaled / expected[:, None], (squares - known) / expected)
         if np.all(np.abs(found - before) <= _SETTLED * (before + found.max(initial=0.0))):
             break
-        expected = np.maximum(scaled @ found + known, _LEAST * mean + 1e-300)
+        expected = np.maximum(scaled @ found + known, _LEAST * mean + _NOTHING)
     return np.asarray(found / size)
 
 
@@ -89,7 +91,7 @@ def _nonnegative(basis: FloatArray, target: FloatArray) -> FloatArray:
 
 def _settled(densities: FloatArray, beside: FloatArray, mean: float, known: FloatArray) -> Sizes:
     """Sizes of at most three densities, shape (k, n), beside one that is known."""
-    expected: FloatArray | float = max(mean, 1e-300)
+    expected: FloatArray | float = max(mean, _NOTHING)
     found: Sizes = (0.0,) * len(densities)
     for _ in range(_MOST_ROUNDS):
         before = found
@@ -98,7 +100,7 @@ def _settled(densities: FloatArray, beside: FloatArray, mean: float, known: Floa
         largest = max(found)
         if all(abs(x - was) <= _SETTLED * (was + largest) for x, was in zip(found, before, strict=True)):
             break
-        expected = np.maximum(np.array(found) @ densities + known, _LEAST * mean + 1e-300)
+        expected = np.maximum(np.array(found) @ densities + known, _LEAST * mean + _NOTHING)
     return found
 
 
