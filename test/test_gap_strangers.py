@@ -21,7 +21,7 @@ from gyro_calib.gap.one_recording import told_by_several
 from gyro_calib.gap.parts import SKEW, Part
 from gyro_calib.gap.preflight import usable
 from gyro_calib.gap.screen import Candidate
-from gyro_calib.gap.select import Selection, _best_refined, select_effects
+from gyro_calib.gap.select import Selection, _best_refined, best_of_each, select_effects
 from gyro_calib.gap.strangers import MARGIN, bank_terms, cancel, unnamed_counts, worth_of
 from gyro_calib.trial.injected import with_columns
 from gyro_calib.trial.plans import campaign_plan
@@ -274,3 +274,20 @@ def test_a_stiffness_by_the_drives_square_half_a_sample_late_has_its_name() -> N
     assert [(e.name, e.candidate.setting) for e in selection.effects] == [("drive_stiffness", {"axes": 0.0})]
     assert selection.stranger is None
     assert selection.chi2_after < 1.1 * selection.dof < 0.9 * selection.chi2_before
+
+
+@pytest.mark.slow
+def test_an_effect_that_hardly_shows_is_asked_what_comes_with_it() -> None:
+    """A stiffness by the drives' square may show by its phase alone: 34 and 217 in chi-square (plant 32: a cube and a mode)."""
+    model, late_rad = table_model(), 1.2
+    by_recording = []
+    for r in model.evidence:
+        u = r.signals.drive
+        p = r.signals.pick - u @ model.linear.E.T
+        by_recording.append([Part("k", "flow", 1j * (2.0 * np.abs(u) ** 2 * p + np.exp(1j * late_rad) * u**2 * p.conj()))])
+    strange = with_effects(model, part_columns(model.evidence, by_recording, model.linear), 8.8)
+    hidden = strange.screener.screen(next(c for c in strange.candidates["drive_stiffness"] if c.setting["axes"] == 0.0))
+    (other,) = best_of_each(strange.screener, {"duffing": strange.candidates["duffing"]})
+    assert hidden is not None
+    assert 3.0 < hidden.log_evidence < MARGIN < other.log_evidence
+    assert _best_refined(strange, [], [other, hidden]).name == "drive_stiffness"

@@ -56,6 +56,8 @@ _GOLDEN_STEPS = 8
 #: settings that are refined, rounds of those that have two, and how far beyond the ends of its grid one may lie
 _REFINED, _REFINEMENTS = ("level", "tau", "separation_hz", "half_width_hz", *COURSES), 3
 _BEYOND = {"half_width_hz": (4.0, 4.0), "tau": (1.0, 3.0)}
+#: log evidence from which on an effect is asked what comes with it
+_SHOWN = 3.0
 #: effects that are refined before one is taken: those of so much of the best one's log evidence, and how many at most
 _NEAR, _CONTENDERS = 0.75, 4
 #: effects tried in pairs, and least gain of a pair that no member shows alone
@@ -228,7 +230,8 @@ def _between_settings(model: CampaignModel, ranked: Sequence[Screened]) -> list[
     """Where no effect counts at a setting of its grid: those that nearly do at their best setting, which lies between."""
     nearly = [s for s in ranked if s.candidate.setting and s.log_evidence > MARGIN - _BETWEEN][:_CONTENDERS]
     found = model.screener.screened(_refined(model, model.screener, s.candidate) for s in nearly)
-    better = {s.name: s for s in found if physical(s)}
+    found += _accompanied(model, model.screener, [s for s in ranked if s.log_evidence > _SHOWN])
+    better = {s.name: s for s in sorted(found, key=lambda s: s.log_evidence) if physical(s)}
     return sorted((better.get(s.name, s) for s in ranked), key=lambda s: -s.log_evidence)
 
 
@@ -244,10 +247,14 @@ def _best_refined(model: CampaignModel, chosen: Sequence[Candidate], ranked: Seq
     refined = [_refined(model, screener, s.candidate) for s in near]
     found = screener.screened(refined)
     tried = {s.name for s in near}
-    counting = [s for s in ranked[: _CONTENDERS * 2] if s.log_evidence > MARGIN and s.name not in tried] + found
-    counting += [v for f in counting for v in _otherwise(model, screener, f)]
-    unlike = [s for f in counting if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
-    return max(found + unlike, key=lambda s: s.log_evidence).candidate
+    counting = [s for s in ranked if s.log_evidence > _SHOWN and s.name not in tried] + found
+    return max(found + _accompanied(model, screener, counting), key=lambda s: s.log_evidence).candidate
+
+
+def _accompanied(model: CampaignModel, screener: Screener, found: Sequence[Screened]) -> list[Screened]:
+    """Effects, as they were found and otherwise, with what comes with them."""
+    both = [*found, *(v for f in found for v in _otherwise(model, screener, f))]
+    return [s for f in both if (s := _with_unlike_pickoffs(model, screener, f)) is not None]
 
 
 def _otherwise(model: CampaignModel, screener: Screener, found: Screened) -> list[Screened]:
