@@ -131,6 +131,8 @@ def test_comparison_by_hand():
         (0.0883207, 1.4e-6, "0.0883207"),
         (math.nan, 1.0, "not observable"),
         (12.3456789, 0.0, "12.3457"),
+        (1.43413e-6, 8.4e-6, "1.4e−06"),
+        (-2.3456e-7, 1.2e-9, "−2.346e−07"),
     ],
 )
 def test_numbers_carry_the_digits_they_deserve(value, sd, text):

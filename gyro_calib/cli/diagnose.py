@@ -78,14 +78,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def print_diagnosis(diagnosis: Diagnosis, *, every: bool = False) -> None:
     """The verdict that a person reads in a minute."""
-    from ..report.gap_tables import before_after_table, effects_table, places_table, sentences_of_next, standings_table
+    from ..report.gap_tables import as_healthy_table, before_after_table, effects_table, places_table, sentences_of_next, standings_table
 
     fleet = diagnosis.provenance.get("fleet")
     beside = f", judged beside the fleet of {fleet['name']}" if fleet else ""
     say(f"{diagnosis.device_id}, {diagnosis.recordings} recordings{beside}: {diagnosis.verdict}")
     say(diagnosis.summary)
     say("")
-    for table in (effects_table(diagnosis), places_table(diagnosis), before_after_table(diagnosis)):
+    held = [as_healthy_table(diagnosis)] if diagnosis.as_healthy else []
+    for table in (effects_table(diagnosis), *held, places_table(diagnosis), before_after_table(diagnosis)):
         print_table(table)
     if every:
         print_table(standings_table(diagnosis))

@@ -15,6 +15,7 @@ from ..estimation.factory_values import factory_value
 from ..quantity import Quantity
 from ..recording.recording import Campaign
 from ..units import DEG_H, PPM
+from .as_healthy import as_healthy
 from .candidates import registry_name
 from .checks import checked
 from .coarse_drive import FULL_SCALE_V, with_coarse_drive
@@ -144,11 +145,12 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
     effects = beside_unknown(effects, unknown)
     following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
+    held = as_healthy(model, chosen, rich, left_out)
     none, something = none_or_unknown(selection, (*beside.effects, *loops.effects, *circulatory), unknown, effects)
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
-        summary=summary_of(verdict, effects, unknown, shrunk, lines),
+        summary=summary_of(verdict, effects, unknown, shrunk, lines, held),
         effects=effects,
         unknown=unknown,
         map=gap_map(model, model.base),
@@ -167,6 +169,7 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
         provenance={"registry": len(model.candidates), "left_out": list(left_out)},
         estimate=_estimate(model, rich, kappa),
         map_after=gap_map(model, rich) if chosen else (),
+        as_healthy=held,
     )
 
 

@@ -15,7 +15,7 @@ from ..quantity import Quantity
 from .fleet import Coefficients
 from .gap_map import Cell
 
-__all__ = ["SCHEMA", "Alternative", "Diagnosis", "FoundEffect", "Gap", "NextExperiment", "Standing", "Unknown"]
+__all__ = ["SCHEMA", "Alternative", "AsHealthy", "Diagnosis", "FoundEffect", "Gap", "NextExperiment", "Standing", "Unknown"]
 
 #: version of the JSON
 SCHEMA = 1
@@ -76,7 +76,7 @@ class FoundEffect:
             "registry_name": self.registry_name,
             "chi_square": self.gain,
             "harmless": self.harmless,
-            "simulate": [f"{self.registry_name}.{name}={value!r}" for name, value in self.in_device_file().items()],
+            "simulate": _simulated(self.registry_name, self.parameters),
         }
 
     def in_device_file(self) -> dict[str, float]:
@@ -84,8 +84,7 @@ class FoundEffect:
 
         Within the registry's bounds: a noisy estimate of what cannot be negative may be just below zero.
         """
-        known = {p.name: p for p in EFFECTS[self.registry_name].parameters}
-        return {name: min(max(q.value, known[name].lower), known[name].upper) for name, q in self.parameters.items() if name in known}
+        return _within_bounds(self.registry_name, self.parameters)
 
     def _by_axis(self) -> list[str]:
         """The variant by axis, if the axes are less alike than a unit's pick-offs make them, or something acts across them."""
@@ -96,6 +95,50 @@ class FoundEffect:
         unlike = [(abs(x.value - y.value), math.hypot(x.sd, y.sd)), *((abs(q.value), q.sd) for q in across)]
         least = _UNLIKE * max(abs(x.value), abs(y.value))
         return [self.registry_name] if any(by > max(_UNLIKE_SD * sd, least) for by, sd in unlike) else []
+
+
+@dataclass(frozen=True)
+class AsHealthy:
+    """What would be an effect, were it larger than any healthy device may have it.
+
+    Parameters
+    ----------
+    name, title, location : str
+        Of the registry.
+    parameters : mapping of str to Quantity
+        Sizes, as an effect's.
+    told : mapping of str to Quantity
+        What is told where these are not: the difference of two axes. Empty: they are.
+    gain : float
+        Chi-square that it takes away.
+    usual : mapping of str to float
+        Standard deviations of healthy devices about zero, by the field of :class:`.healthy.HealthySpread`.
+    times_usual : float
+        Its largest coefficient over that.
+    """
+
+    name: str
+    title: str
+    location: str
+    parameters: Mapping[str, Quantity]
+    told: Mapping[str, Quantity]
+    gain: float
+    usual: Mapping[str, float]
+    times_usual: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Its fields, and how to simulate it."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "location": self.location,
+            "parameters": {name: q.to_json() for name, q in self.parameters.items()},
+            "told": {name: q.to_json() for name, q in self.told.items()},
+            "chi_square": self.gain,
+            "healthy_sd": dict(self.usual),
+            "times_healthy_sd": self.times_usual,
+            "simulate": _simulated(self.name, self.parameters),
+        }
 
 
 @dataclass(frozen=True)
@@ -287,6 +330,8 @@ class Diagnosis:
         The linear device beside the effects: what a patched device file is made of.
     map_after : tuple of Cell
         The map once the effects are in; empty without effects.
+    as_healthy : tuple of AsHealthy
+        What it has that any healthy device may have: no gap, but no drawing has it.
     """
 
     device_id: str
@@ -310,6 +355,7 @@ class Diagnosis:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     estimate: PatchedEstimate | None = None
     map_after: tuple[Cell, ...] = ()
+    as_healthy: tuple[AsHealthy, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Keys of the contract (issue: diagnose the gap), and more; plain types."""
@@ -325,6 +371,7 @@ class Diagnosis:
             "standings": [
                 {**asdict(s), "excluded_above": None if s.excluded_above is None else s.excluded_above.to_json()} for s in self.standings
             ],
+            "as_healthy": [held.to_json() for held in self.as_healthy],
             "gap": self.gap.to_json(),
             "not_testable": list(self.not_testable),
             "next_experiment": asdict(self.next_experiment),
@@ -334,3 +381,13 @@ class Diagnosis:
             "warnings": list(self.warnings),
             "provenance": dict(self.provenance),
         }
+
+
+def _within_bounds(registry_name: str, parameters: Mapping[str, Quantity]) -> dict[str, float]:
+    known = {p.name: p for p in EFFECTS[registry_name].parameters}
+    return {name: min(max(q.value, known[name].lower), known[name].upper) for name, q in parameters.items() if name in known}
+
+
+def _simulated(registry_name: str, parameters: Mapping[str, Quantity]) -> list[str]:
+    """Sizes as ``gyro-calib simulate --effect`` takes them, word for word."""
+    return [f"{registry_name}.{name}={value!r}" for name, value in _within_bounds(registry_name, parameters).items()]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from ..quantity import Quantity
-from .diagnosis import FoundEffect, Standing, Unknown
+from .diagnosis import AsHealthy, FoundEffect, Standing, Unknown
 from .flicker_effects import FLICKERS
 from .heldout import Shrinkage
 from .loop_effects import LOOP_EFFECTS
@@ -25,10 +26,17 @@ _PLACES = (
 _UNKNOWN_SHARE = 0.5
 #: share of the effects that cannot be tested, from which on none found is no more than half an answer: the practice campaigns have 0.08
 _MUCH_UNTESTED = 0.25
+#: what a device has as healthy ones may is said first where it is so many times as large as they usually have it
+_UNUSUAL = 1.5
 
 
 def summary_of(
-    verdict: str, effects: tuple[FoundEffect, ...], unknown: Unknown | None, shrunk: Shrinkage, lines: tuple[Standing, ...] = ()
+    verdict: str,
+    effects: tuple[FoundEffect, ...],
+    unknown: Unknown | None,
+    shrunk: Shrinkage,
+    lines: tuple[Standing, ...] = (),
+    held: tuple[AsHealthy, ...] = (),
 ) -> str:
     """One sentence for people, or two.
 
@@ -42,12 +50,18 @@ def summary_of(
         On unseen experiments.
     lines : tuple of Standing
         Of every effect.
+    held : tuple of AsHealthy
+        What it has as any healthy device may.
     """
     if verdict == "none":
         untested = sum(s.status == "not testable" for s in lines)
         but = f", but {untested} of {len(lines)} effects cannot be tested with these recordings: see the list of those not testable"
         explained = f"None: the linear device explains all {shrunk.dof} unseen figures to {shrunk.rms_before:.2f} of their noise"
-        return f"{explained}{but if untested > _MUCH_UNTESTED * len(lines) else ''}."
+        unusual = "; ".join(f"{h.name} ({_sizes(h.told or h.parameters)})" for h in held if h.times_usual > _UNUSUAL)
+        as_some = (
+            f" More than healthy devices usually have, but as some do: {unusual}. A fleet of healthy units decides." if unusual else ""
+        )
+        return f"{explained}{but if untested > _MUCH_UNTESTED * len(lines) else ''}.{as_some}"
     if verdict == "not_testable":
         return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
     if unknown is not None:
@@ -56,9 +70,8 @@ def summary_of(
     words = []
     for e in effects:
         others = [name for name in e.group if name != e.name]
-        size = ", ".join(f"{k} = {said(q)}" for k, q in e.parameters.items())
         alike = f"one of {', '.join(others)}, which these data cannot tell from it" if others else "anything these data cannot tell from it"
-        words.append(f"{e.name} ({size}), or {alike}")
+        words.append(f"{e.name} ({_sizes(e.parameters)}), or {alike}")
     beside = {name for names, _ in _PLACES for name in names}
     if all(e.name in beside for e in effects):
         places = [place for names, place in _PLACES if any(e.name in names for e in effects)]
@@ -69,6 +82,10 @@ def summary_of(
     if shrunk.told_sd > _UNKNOWN_SHARE:
         return f"{present} How much of the gap it closes, the experiments that it was not found on are too few to tell."
     return f"{present} It closes {100.0 * min(shrunk.told, 1.0):.1f} % of the gap on experiments that it was not found on."
+
+
+def _sizes(parameters: Mapping[str, Quantity]) -> str:
+    return ", ".join(f"{name} = {said(q)}" for name, q in parameters.items())
 
 
 def said(q: Quantity) -> str:

@@ -9,7 +9,7 @@ from ..gap.diagnosis import Diagnosis
 from ..gap.gap_map import Cell
 from .figures import Drawing
 from .gap_figures import draw_channels, draw_map, rows_of
-from .gap_tables import before_after_table, effects_table, places_table, sentences_of_next, standings_table
+from .gap_tables import as_healthy_table, before_after_table, effects_table, places_table, sentences_of_next, standings_table
 from .page import Page, Panel, Tile, Words, write_page
 from .table import Table, number
 from .theme import PAGE, Theme, to_svg
@@ -88,6 +88,7 @@ def _tables(diagnosis: Diagnosis) -> list[Table]:
     return [
         effects_table(diagnosis),
         before_after_table(diagnosis),
+        as_healthy_table(diagnosis),
         places_table(diagnosis, _PLACES),
         standings_table(diagnosis),
     ]

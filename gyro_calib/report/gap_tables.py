@@ -9,7 +9,15 @@ from ..gap.drifts import BENT
 from ..quantity import Quantity
 from .table import Table, number, quantity_cells
 
-__all__ = ["before_after_table", "effects_table", "places_table", "sentences_of_next", "standings_table", "status_words"]
+__all__ = [
+    "as_healthy_table",
+    "before_after_table",
+    "effects_table",
+    "places_table",
+    "sentences_of_next",
+    "standings_table",
+    "status_words",
+]
 
 #: effects that are named of those that an experiment decides
 _NAMED = 6
@@ -62,6 +70,23 @@ def places_table(diagnosis: Diagnosis, count: int = 3) -> Table:
     )
     header = ("experiment", "channel", "line", "in phase with", "times its noise", "share of the gap")
     return Table("Where the gap lies, the worst places", header, rows, "" if rows else "No place stands out of the noise.")
+
+
+def as_healthy_table(diagnosis: Diagnosis) -> Table:
+    """What no one calls a gap, for healthy devices may have it, but no drawing has."""
+    rows = []
+    for held in diagnosis.as_healthy:
+        for k, (name, quantity) in enumerate((held.told or held.parameters).items()):
+            value, sd, unit = quantity_cells(quantity)
+            size = f"{name} = {value} ± {sd}" + ("" if unit == "1" else f" {unit}")
+            last = (f"{held.times_usual:.1g}", f"{held.gain:.0f}") if k == 0 else ("", "")
+            rows.append((held.name if k == 0 else "", size, *last))
+    caption = (
+        "No single device tells whether these are its maker's healthy ones': of those that are known it has as much as some. A fleet does "
+        "(gyro-calib fleet). Chi-square: what the linear device would leave without."
+    )
+    header = ("effect", "size", "times the usual", "chi-square")
+    return Table("As healthy devices may have it", header, tuple(rows), caption if rows else "Nothing that shows.")
 
 
 def before_after_table(diagnosis: Diagnosis) -> Table:

@@ -63,14 +63,17 @@ def number(value: float, sd: float = 0.0) -> str:
     """
     if not math.isfinite(value):
         return "not observable" if math.isnan(value) else str(value).replace("inf", "∞")
+    digits = 6
     if math.isfinite(sd) and sd > 0.0:
         places = 1 - math.floor(math.log10(sd))
         # + 0.0: a zero has no sign
-        text = f"{round(value, places) + 0.0:,.{max(0, min(places, 12))}f}" if abs(value) < 1e12 else f"{value:.6g}"
+        value = round(value, places) + 0.0
+        digits = min(max(math.floor(math.log10(abs(value))) + places + 1, 1), digits) if value else 1
+        text = f"{value:,.{max(0, min(places, 12))}f}" if abs(value) < 1e12 else f"{value:.{digits}g}"
     else:
         text = f"{value:.6g}"
     if len(text.lstrip("-")) > 13 or text.lstrip("-").startswith("0.00000"):
-        text = f"{value:.6g}"
+        text = f"{value:.{digits}g}"
     return text.replace(",", "\u202f").replace("-", "−")
 
 
