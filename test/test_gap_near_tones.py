@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,9 +16,9 @@ from table_samples import looked_at
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan
-from gyro_calib.gap.evidence import CHANNELS
+from gyro_calib.gap.evidence import CHANNELS, CampaignEvidence
 from gyro_calib.gap.flow_left import FlowLeft, flows_left
-from gyro_calib.gap.near_tones import _floors, _heard, _there, find_near_tone
+from gyro_calib.gap.near_tones import _floors, _heard, _there, find_near_tone, heard_on_lines
 from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.steady_swings import find_steady_swing
 from gyro_calib.gap.swings import kinds_of
@@ -175,3 +177,25 @@ def test_a_tone_and_a_sway_of_the_carrier_have_their_frequencies_sizes_and_the_d
     assert abs(swing.size / model.linear.angular_gain - 5e-4) < 4.0 * swing.size_sd / model.linear.angular_gain
     late = math.remainder(swing.phase_rad + math.pi - 0.7, 2.0 * math.pi)
     assert abs(late) < 4.0 * swing.phase_sd_rad < 1.0
+
+
+def test_a_tone_leaks_on_lines_that_reach_near_it() -> None:
+    """Not on those of slower records; where it does on most, these are all there is to ask."""
+
+    def record(index: int, lines_hz: float, duration_s: float, turns: float = 0.0, is_wave: bool = True) -> SimpleNamespace:
+        return SimpleNamespace(
+            index=index,
+            is_wave=is_wave,
+            lines=lambda channel: SimpleNamespace(frequency_hz=np.array([0.1, lines_hz])),
+            recording=SimpleNamespace(duration_s=duration_s),
+            signal=SimpleNamespace(turn_rad=2.0 * np.pi * turns),
+            signals=SimpleNamespace(omega_rad_s=np.full(3, 2.0 * np.pi * CARRIER_HZ)),
+        )
+
+    fast, slow = [record(k, 1.5, 12.0) for k in (0, 3)], [record(k, 0.4, 35.0) for k in (1, 2, 4)]
+    opened, turning = record(5, 30.0, 2.0, is_wave=False), record(6, 1.2, 20.0, turns=8.0)
+    evidence = cast(CampaignEvidence, [*fast, *slow, opened, turning])
+    assert heard_on_lines(evidence, CARRIER_HZ - 1.7) == (0, 3, 6)
+    assert heard_on_lines(evidence, CARRIER_HZ + 1.95) == ()
+    assert heard_on_lines(evidence, CARRIER_HZ + 1.75) == (0, 3, 6)
+    assert heard_on_lines(evidence, CARRIER_HZ + 0.3) == ()

@@ -32,7 +32,7 @@ from .linear_device import linear_of
 from .loop_effects import loop_effects
 from .loud import loudest
 from .model import CampaignModel, look_at
-from .near_tones import find_near_tone
+from .near_tones import find_near_tone, heard_on_lines
 from .next_experiment import experiment_for, next_experiment
 from .one_device import said_of_decay
 from .open_lines import find_open_line
@@ -105,7 +105,10 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
     flows = flows_left(model.evidence, model.linear)
     swings = [swing for swing in (find_swing(flows), find_steady_swing(flows)) if swing is not None]
     open_line = find_open_line(recordings, model.linear, model.evidence.omega0_rad_s, model.evidence.temperature_degc)
-    beside = spectral_effects(recordings, model.linear, left_out, swings, find_near_tone(flows, model.linear), open_line)
+    near_tone = find_near_tone(flows, model.linear)
+    beside = spectral_effects(recordings, model.linear, left_out, swings, near_tone, open_line)
+    if near_tone is not None and not beside.near:
+        beside = replace(beside, near=heard_on_lines(model.evidence, near_tone.frequency_hz))
     full_scale_v = factory_value(campaign.factory, "dac_full_scale_V") or FULL_SCALE_V
     beside = with_coarse_drive(beside, model, recordings, left_out, full_scale_v)
     beside = with_flickers(beside, model.evidence, model.linear, model.noise, left_out)

@@ -194,6 +194,8 @@ class CampaignEvidence:
         Of the x and y pick-offs' phases [rad^2/Hz], where they are more than a healthy device's.
     healthy : HealthySpread
         How large what no one calls a gap is on a device of this kind.
+    image_sd : mapping of int to float
+        How well the images of a stiffness were told that were taken off, over the formula's size, by index of the recording.
     """
 
     recordings: tuple[RecordingEvidence, ...]
@@ -202,6 +204,7 @@ class CampaignEvidence:
     temperature_degc: float
     phase_floors: tuple[float, float] = (0.0, 0.0)
     healthy: HealthySpread = field(default_factory=HealthySpread)
+    image_sd: Mapping[int, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], decay_rate: float, healthy: HealthySpread | None = None) -> CampaignEvidence:

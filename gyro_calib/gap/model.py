@@ -37,6 +37,7 @@ from .saturated import columns_of_time, counting, effect_columns, is_of_time, sa
 from .screen import Candidate, Screened, Screener, worth
 from .sizes import Family, measured_shares, with_shares
 from .slow import MOST_WANDER, drift_family, slow_drifts
+from .stiffness_image import less_stiffness_images
 from .system import NoiseByRole, Solution, Whitener, solve
 from .thermometer import THERMOMETER, own_columns, sensor_late_s, thermometer_columns
 from .wander_feeds import wander_feeds
@@ -179,7 +180,7 @@ def look_at(
     check_linear(linear, rough, recordings, decay_rate)
     evidence, linear, values, late_s = fitted_device(evidence, linear, angular_gain, wander, most)
     angular_gain = linear.angular_gain
-    evidence = replace(evidence, phase_floors=phase_floors(flows_left(evidence, linear)))
+    evidence = less_stiffness_images(replace(evidence, phase_floors=phase_floors(flows_left(evidence, linear))), linear)
     report(0.35, "effects of the registry")
     # a resonance that wanders with its temperature: the sensor does not say so
     error_k = most / abs(linear.frequency_slope_rad_s_k) if linear.followed is not None and linear.frequency_slope_rad_s_k else 0.0

@@ -52,7 +52,7 @@ class SpectralEffects:
     products : float
         Gain that the squares of a line may have in the slow flow: what is found there and no larger may be no more than that.
     near : tuple of int
-        Recordings, by their place, whose reference stands so near to a tone that it belongs to their signal.
+        Recordings, by their place, whose reference stands so near to a tone that it belongs to their signal, or on whose lines it leaks.
     """
 
     effects: tuple[FoundEffect, ...]
