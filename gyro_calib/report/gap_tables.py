@@ -79,11 +79,11 @@ def as_healthy_table(diagnosis: Diagnosis) -> Table:
         for k, (name, quantity) in enumerate((held.told or held.parameters).items()):
             value, sd, unit = quantity_cells(quantity)
             size = f"{name} = {value} ± {sd}" + ("" if unit == "1" else f" {unit}")
-            last = (f"{held.times_usual:.1g}", f"{held.gain:.0f}") if k == 0 else ("", "")
+            last = (f"{held.times_usual:.2g}", f"{held.gain:.0f}") if k == 0 else ("", "")
             rows.append((held.name if k == 0 else "", size, *last))
     caption = (
-        "No single device tells whether these are its maker's healthy ones': of those that are known it has as much as some. A fleet does "
-        "(gyro-calib fleet). Chi-square: what the linear device would leave without."
+        "Healthy devices are known that have as much, so that none of it is called an effect; healthy units of your own decide "
+        "(gyro-calib fleet). Chi-square: what the linear device would leave without it."
     )
     header = ("effect", "size", "times the usual", "chi-square")
     return Table("As healthy devices may have it", header, tuple(rows), caption if rows else "Nothing that shows.")
