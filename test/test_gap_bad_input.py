@@ -344,3 +344,6 @@ def test_a_drive_that_little_is_told_of_has_no_sign(campaign) -> None:
     check_linear(device(0.1j), {}, recordings, 1.5)
     with pytest.raises(DataError, match="A positive y drive must push y"):
         check_linear(device(1j), {}, recordings, 1.5)
+    # and one that the fit hardly knows points anywhere: -3.5 - 2.1i of a sd of 1.2
+    check_linear(device(1j), {}, recordings, 1.5, (0.0, 0.3 * held))
+    check_linear(device(1.0), {}, recordings, 1.5, (0.0, 0.3 * held))

@@ -17,11 +17,12 @@ from .noise import first_noise, measured_noise
 from .nuisance import thermal_columns, wander_columns
 from .parts import Linear
 from .rate_table import gain_as_read, in_time, rate_columns, steps_of
-from .system import NoiseByRole, Whitener, solve
+from .system import NoiseByRole, Solution, Whitener, solve
 from .wander import wander_within
 
 __all__ = ["FittedDevice", "first_linear", "fitted_device", "nuisances_of"]
 
+FloatArray = NDArray[np.float64]
 #: delay and length of a table's steps from which on its log is mended [s], and how often
 _TABLE_S, _TABLE_ROUNDS = 5e-4, 2
 
@@ -46,8 +47,10 @@ class FittedDevice(NamedTuple):
     late_s: dict[int, float]
 
 
-def first_linear(evidence: CampaignEvidence, angular_gain: float, wander_rad_s: float) -> tuple[Linear, dict[str, float]]:
-    """The linear device of which nothing was known, and all values of its fit with rough noise.
+def first_linear(evidence: CampaignEvidence, angular_gain: float, wander_rad_s: float) -> tuple[Linear, dict[str, float], FloatArray]:
+    """The linear device of which nothing was known, all values of its fit with rough noise, and how well it knows its drives.
+
+    The last is the standard deviation of the gain of each drive on its own axis [1/s], shape (2,), by what the fit leaves.
 
     Parameters
     ----------
@@ -57,7 +60,10 @@ def first_linear(evidence: CampaignEvidence, angular_gain: float, wander_rad_s: 
     wander_rad_s : float
         How far the resonance wanders between records.
     """
-    return _linear(evidence, _first(evidence, wander_rad_s), angular_gain, 0.0)
+    linear, solution = _linear(evidence, _first(evidence, wander_rad_s), angular_gain, 0.0)
+    left = solution.chi2 / max(solution.residual.size - len(solution.columns), 1)
+    places = [[c.name for c in solution.columns].index(f"G_{axis}{axis}_re") for axis in "xy"]
+    return linear, solution.by_name(), np.sqrt(left * np.diag(solution.covariance)[places])
 
 
 def fitted_device(evidence: CampaignEvidence, linear: Linear, angular_gain: float, wander_rad_s: float, most_rad_s: float) -> FittedDevice:
@@ -111,8 +117,8 @@ def nuisances_of(evidence: CampaignEvidence, linear: Linear, wander_rad_s: float
     ]
 
 
-def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: float, known_gain: float) -> tuple[Linear, dict[str, float]]:
-    """The linear device of a fit with rough noise, and all its values; ``known_gain``: response to rate that is taken as known."""
+def _linear(evidence: CampaignEvidence, columns: list[Column], angular_gain: float, known_gain: float) -> tuple[Linear, Solution]:
+    """The linear device of a fit with rough noise, and the fit; ``known_gain``: response to rate that is taken as known."""
     whitener = Whitener.of(evidence, first_noise(evidence))
     target = whitener.rows(target_of(evidence, known_gain))
     return _told(evidence, columns, whitener, target, angular_gain)
@@ -127,21 +133,22 @@ def _resonant(
     """
     noise, excess = measured_noise(evidence, columns, columns, angular_gain, start=start)
     whitener = Whitener.of(evidence, noise, excess)
-    return *_told(evidence, columns, whitener, whitener.rows(target_of(evidence, angular_gain)), angular_gain), noise
+    linear, solution = _told(evidence, columns, whitener, whitener.rows(target_of(evidence, angular_gain)), angular_gain)
+    return linear, solution.by_name(), noise
 
 
 def _told(
     evidence: CampaignEvidence, columns: list[Column], whitener: Whitener, target: NDArray[np.float64], angular_gain: float
-) -> tuple[Linear, dict[str, float]]:
-    """The linear device, with where its resonance lay, and all values of a fit."""
+) -> tuple[Linear, Solution]:
+    """The linear device, with where its resonance lay, and the fit."""
     design = whitener.design(columns, len(evidence))
     solution = solve(columns, design, target)
     values = solution.by_name()
     if not knows_its_resonance(evidence, values):
-        return linear_of(evidence, values, angular_gain), values
+        return linear_of(evidence, values, angular_gain), solution
     followed = followed_of(evidence, solution, whitener, design)
     linear = linear_of(evidence, values, angular_gain, followed)
-    return replace(linear, followed=followed.with_wander(wander_within(evidence, linear))), values
+    return replace(linear, followed=followed.with_wander(wander_within(evidence, linear))), solution
 
 
 def _in_time(

@@ -176,8 +176,8 @@ def look_at(
     evidence = CampaignEvidence.of(recordings, decay_rate, healthy)
     report(0.25, "fitting the linear device")
     wander, most = _WANDER * evidence.omega0_rad_s, MOST_WANDER * evidence.omega0_rad_s
-    linear, rough = first_linear(evidence, angular_gain, wander)
-    check_linear(linear, rough, recordings, decay_rate)
+    linear, rough, drives_sd = first_linear(evidence, angular_gain, wander)
+    check_linear(linear, rough, recordings, decay_rate, drives_sd)
     evidence, linear, values, late_s = fitted_device(evidence, linear, angular_gain, wander, most)
     angular_gain = linear.angular_gain
     evidence = less_stiffness_images(replace(evidence, phase_floors=phase_floors(flows_left(evidence, linear))), linear)

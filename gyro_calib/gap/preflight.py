@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import DataError
 from ..recording.applied_rate import is_turned
@@ -40,6 +41,8 @@ _FEWEST_ROWS, _NOT_DESCRIBED = 200, ("frequency_modulation", "secondary_modulati
 _HELD_VOLTS, _SLIPPED = 0.05, 0.01
 #: a drive acts on an axis by this share at least of what holds a wave there
 _ACTS = 0.2
+#: and over its own sd, from which on it has a direction: the fit has rough noise, and its columns hold what no rough noise tells
+_KNOWN = 10.0
 #: rate of growth over the decay that the factory states, from which on columns are wrong and not the gyro; share of a drive's gain in the
 #: phase that it should have, and a quarter of a cycle from there, from which on it is right and wrong
 _GROWS, _PUSHES, _ASIDE = 0.2, 0.5, 0.8
@@ -207,7 +210,13 @@ def _swings(axis: int, recordings: Sequence[Recording]) -> bool:
     return bool(max(shares, default=0.0) > _HELD_SHARE)
 
 
-def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[Recording], decay_rate: float) -> None:
+def check_linear(
+    linear: Linear,
+    values: dict[str, float],
+    recordings: Sequence[Recording],
+    decay_rate: float,
+    drives_sd: Sequence[float] | NDArray[np.float64] = (0.0, 0.0),
+) -> None:
     """Refuse a linear device that no gyro can be: columns with a wrong sign, swapped, or in other units.
 
     Parameters
@@ -218,6 +227,8 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
     recordings : sequence of Recording
     decay_rate : float
         Rough 1/tau [1/s].
+    drives_sd : sequence of float, optional
+        How well the fit knows the gain of each drive on its own axis [1/s]: one that it hardly knows points anywhere.
 
     Raises
     ------
@@ -239,12 +250,13 @@ def check_linear(linear: Linear, values: dict[str, float], recordings: Sequence[
             "s of all columns look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn them."
         )
     for k, axis in enumerate("xy"):
-        if straight[k] > acts and abs(G[k, k].real) > _ASIDE * straight[k]:
+        pushes = straight[k] > max(acts, _KNOWN * drives_sd[k])
+        if pushes and abs(G[k, k].real) > _ASIDE * straight[k]:
             raise DataError(
                 f"A positive {axis} drive must push {axis} as theory.md Eq. 4 has it (G_{axis}{axis} near -i), but got {G[k, k]:.3g} 1/s, "
                 f"a quarter of a cycle away: c and s of the {axis} drive or of the {axis} pick-off columns look swapped. Swap them back."
             )
-        if straight[k] > acts and G[k, k].imag > 0.5 * straight[k]:
+        if pushes and G[k, k].imag > 0.5 * straight[k]:
             raise DataError(
                 f"A positive {axis} drive must push {axis} as theory.md Eq. 4 has it (G_{axis}{axis} near -i), but got {G[k, k]:.3g} 1/s: "
                 f"the sign of the {axis} drive or of the {axis} pick-off columns looks wrong (c and s swapped, or negative)."
