@@ -62,7 +62,7 @@ def rings(campaign: Campaign) -> Ringing | None:
     f = campaign.factory
     evidence = CampaignEvidence.of(usable(campaign), math.pi * f["nominal_f0_hz"] / f["nominal_q"])
     wander, most = 5e-8 * evidence.omega0_rad_s, 5e-7 * evidence.omega0_rad_s
-    linear, _ = first_linear(evidence, f["angular_gain_kappa"], wander)
+    linear, *_ = first_linear(evidence, f["angular_gain_kappa"], wander)
     fitted = fitted_device(evidence, linear, f["angular_gain_kappa"], wander, most)
     return find_ringing(fitted.evidence, fitted.linear)
 

@@ -60,7 +60,7 @@ def known() -> tuple[CampaignEvidence, Linear]:
     f = recorded.factory
     evidence = CampaignEvidence.of(usable(recorded), math.pi * f["nominal_f0_hz"] / f["nominal_q"])
     wander = 5e-8 * evidence.omega0_rad_s
-    linear, _ = device_fit.first_linear(evidence, f["angular_gain_kappa"], wander)
+    linear, *_ = device_fit.first_linear(evidence, f["angular_gain_kappa"], wander)
     return evidence, linear
 
 

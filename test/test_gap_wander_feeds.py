@@ -84,7 +84,7 @@ def test_what_moved_a_resonance_while_it_warmed_feeds_through_as_the_columns_of_
     recorded = warmed()
     f = recorded.factory
     evidence = CampaignEvidence.of(usable(recorded), math.pi * f["nominal_f0_hz"] / f["nominal_q"])
-    rough, _ = device_fit.first_linear(evidence, f["angular_gain_kappa"], 5e-8 * evidence.omega0_rad_s)
+    rough, *_ = device_fit.first_linear(evidence, f["angular_gain_kappa"], 5e-8 * evidence.omega0_rad_s)
     linear = replace(rough, followed=device_fit.followed_of(evidence, *fit(evidence, rough)))
     assert linear.followed is not None
     columns = {c.name: c for c in wander_feeds(evidence, linear)}
