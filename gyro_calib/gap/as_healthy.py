@@ -76,11 +76,13 @@ def as_healthy(model: CampaignModel, chosen: Sequence[Candidate], rich: Solution
         return ()
     kinds = [size_of(rich.columns[k].name) for k in places]
     over = np.abs(rich.values[places]) / np.array([rich.columns[k].prior_sd for k in places])
+    precision, information = what_data_say(rich, places)
+    precision = precision + np.eye(len(places))
     found = []
     for sizes, names in _NAMES.items():
         of_these = np.array([kind in sizes for kind in kinds])
         known = [n for n in names if n in model.candidates and n not in own and n not in without]
-        if known and (taken := _taken(rich, places, of_these)) > LEAST_GAIN:
+        if known and (taken := _taken(precision, information, of_these)) > LEAST_GAIN:
             others = _instead(model, chosen, sizes)
             best = _best(model, others, known)
             if best is not None and best.gain > max(LEAST_GAIN, _MOST * taken):
@@ -89,19 +91,17 @@ def as_healthy(model: CampaignModel, chosen: Sequence[Candidate], rich: Solution
     return tuple(sorted(found, key=lambda held: -held.gain))
 
 
-def _taken(rich: Solution, places: Sequence[int], of_these: np.ndarray) -> float:
-    """Chi-square that some of the coefficients at these places take away beside the others, the priors of all in it."""
+def _taken(precision: np.ndarray, information: np.ndarray, of_these: np.ndarray) -> float:
+    """Chi-square that some coefficients take away beside the others, the priors of all in it."""
     if not of_these.any():
         return 0.0
-    precision, information = what_data_say(rich, places)
-    precision = precision + np.eye(len(places))
 
     def best(keep: np.ndarray) -> float:
         if not keep.any():
             return 0.0
         return float(information[keep] @ np.linalg.solve(precision[np.ix_(keep, keep)], information[keep]))
 
-    return best(np.ones(len(places), dtype=bool)) - best(~of_these)
+    return best(np.ones(of_these.size, dtype=bool)) - best(~of_these)
 
 
 def _instead(model: CampaignModel, chosen: Sequence[Candidate], sizes: Collection[str]) -> list[Column]:

@@ -41,7 +41,7 @@ _FEWEST_ROWS, _NOT_DESCRIBED = 200, ("frequency_modulation", "secondary_modulati
 _HELD_VOLTS, _SLIPPED = 0.05, 0.01
 #: a drive acts on an axis by this share at least of what holds a wave there
 _ACTS = 0.2
-#: and over its own sd, from which on it has a direction: the fit has rough noise, and its columns hold what no rough noise tells
+#: and by so many of its own sd, from which on its direction is known: that sd is of rough noise
 _KNOWN = 10.0
 #: rate of growth over the decay that the factory states, from which on columns are wrong and not the gyro; share of a drive's gain in the
 #: phase that it should have, and a quarter of a cycle from there, from which on it is right and wrong

@@ -19,11 +19,10 @@ from .columns import part_columns
 from .evidence import CampaignEvidence, RecordingEvidence
 from .flow_left import rows_left
 from .images import stiffness_image
-from .parts import Linear, Part
+from .parts import Linear, Part, motion
 
 __all__ = ["less_stiffness_images"]
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 #: what is slower than this other things do as well, and what is faster the rows' filter may take [Hz]
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 8.0
@@ -60,8 +59,10 @@ def _measured(r: RecordingEvidence, linear: Linear, image: ComplexArray) -> tupl
     """Size of an image over the formula's, of any phase, and its sd; None where rows do not tell it."""
     s = r.signals
     azimuth, along, _ = rows_left(s, linear)
-    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(s.pick**2, axis=1))))
-    wave = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) / np.linalg.norm(s.pick, axis=1)[:, None]
+    # of the motion, as the azimuth is: another branch of its phase would turn the image's sign
+    m = motion(s, linear)
+    phase = np.exp(-0.5j * np.unwrap(np.angle(np.sum(m**2, axis=1))))
+    wave = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) / np.linalg.norm(m, axis=1)[:, None]
     seen = np.sum(wave * image * phase[:, None], axis=1)
     frequency_hz = np.arange(len(along)) / (2.0 * len(along) * s.row_s)
     told = (frequency_hz > _SLOWEST_HZ) & (frequency_hz < min(_FASTEST_HZ, 0.25 / s.row_s))
