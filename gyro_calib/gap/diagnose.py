@@ -140,11 +140,12 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
         unknown = ringing.unknown()
     if (loud := loudest(model, rich)) is not None:
         warnings = [*warnings, loud.warning()]
-        unknown = unknown or (None if effects else loud.unknown())
+        unknown = unknown or (None if effects or loud.untested else loud.unknown())
     warnings = [*warnings, *loops.warnings]
     # of the slow flow, and of what no name fits in it, what the loops hold says nothing
     effects += loops.effects + circulatory
-    verdict = _verdict(effects, unknown, lines)
+    untested = loud.not_testable() if loud is not None and loud.untested else ""
+    verdict = _verdict(effects, unknown, lines, untested)
     effects = beside_unknown(effects, unknown)
     following = experiment_for(unknown) if unknown is not None else next_experiment(model, selection, lines)
     report(1.0, "done")
@@ -153,7 +154,7 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
     return Diagnosis(
         device_id=campaign.device_id,
         verdict=verdict,
-        summary=summary_of(verdict, effects, unknown, shrunk, lines, held),
+        summary=summary_of(verdict, effects, unknown, shrunk, lines, held, untested),
         effects=effects,
         unknown=unknown,
         map=gap_map(model, model.base),
@@ -324,13 +325,13 @@ def _swaying_at_rest(beside: SpectralEffects, flows: Sequence[FlowLeft], swings:
     return replace(beside, effects=tuple(e for e in beside.effects if e.name != "base_sway"), standings=excluded)
 
 
-def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...]) -> str:
+def _verdict(effects: tuple[FoundEffect, ...], unknown: Unknown | None, lines: tuple[Standing, ...], untested: str) -> str:
     if unknown is not None:
         return "unknown"
     if effects:
         return "effects"
     tested = sum(s.status in ("excluded", "cannot tell") for s in lines)
-    return "none" if tested >= len(lines) // 4 else "not_testable"
+    return "none" if tested >= len(lines) // 4 and not untested else "not_testable"
 
 
 def _loudest_first(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:

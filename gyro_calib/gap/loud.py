@@ -5,6 +5,9 @@ damping that peaks where a resonance of the gas is passed, 80 and 1200 times the
 
 The frequency is that of a resonator whose own temperature wanders by millikelvins, now more, now less: the loudest of eight records of a
 healthy hemisphere held nine times what all of them did.
+
+Where the drive changes, its delay and its feedthrough do so as well, and only an open drive of both axes tells those: without one a side
+band that is loud has no name because nobody could ask, not because there is none (a delay of 44 us, 39 times the noise).
 """
 
 from __future__ import annotations
@@ -17,7 +20,9 @@ from numpy.typing import NDArray
 from ..recording.applied_rate import is_turned
 from .diagnosis import Unknown
 from .evidence import CHANNELS, RecordingEvidence
+from .missing import missing_of
 from .model import CampaignModel
+from .nuisance import SWITCHED
 from .signals import held_readings
 from .system import Solution
 
@@ -44,6 +49,8 @@ class Loud:
         Of that channel.
     warmed : bool
         The noise of its kind is that of recordings at rest.
+    untested : bool
+        What a changing drive does here is not told without an open one, which there is not.
     """
 
     label: str
@@ -51,12 +58,22 @@ class Loud:
     ratio: float
     equations: int
     warmed: bool = False
+    untested: bool = False
 
     def warning(self) -> str:
         """For the reader of any verdict."""
+        if self.untested:
+            return f"R{self.not_testable()[1:]}. Record open drives of both axes."
         return (
             f"Recording {self.label} holds {self.ratio:.0f} times the noise of {self._kind} ({self.channel}), "
             "and nothing here has its form. Record it again: what comes back is of the device, what does not was a disturbance."
+        )
+
+    def not_testable(self) -> str:
+        """Why it is no finding."""
+        return (
+            f"recording {self.label} holds {self.ratio:.0f} times the noise of {self._kind} ({self.channel}), as a drive's delay or "
+            "feedthrough may make it, and nothing tells those without an open drive of both axes"
         )
 
     @property
@@ -80,7 +97,7 @@ def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
     solution : Solution
         With the effects that were chosen: what they explain of a recording is not loud.
     """
-    found, first = [], 0
+    found, first, untold = [], 0, "open drive" in missing_of(model.evidence)
     for r in model.evidence:
         rows = slice(first, first := first + 2 * r.signal.lhs.size)
         for channel in CHANNELS:
@@ -88,11 +105,16 @@ def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
                 continue
             left = _left(solution.residual[rows], model.base.residual[rows], channel)
             if not is_turned(r.recording) and (own := left * model.excess.get((r.index, channel), 0.0)) > _LOUD:
-                found.append(Loud(r.recording.label, channel, own, r.signal.lhs.size))
+                found.append(Loud(r.recording.label, channel, own, r.signal.lhs.size, untested=untold and _drive_changes(r)))
             warmed = left * _over_rest(model, r, channel) if _is_told_warming(r) else 0.0
             if warmed > (_WARMED if channel == "amplitude" else _WARMED_ACROSS):
                 found.append(Loud(r.recording.label, channel, warmed, r.signal.lhs.size, warmed=True))
     return max(found, key=lambda loud: loud.ratio, default=None)
+
+
+def _drive_changes(r: RecordingEvidence) -> bool:
+    command = r.recording.command
+    return command.excitation.kind.endswith("modulation") or command.mode in SWITCHED
 
 
 def _left(residual: FloatArray, before: FloatArray, channel: str) -> float:

@@ -37,6 +37,7 @@ def summary_of(
     shrunk: Shrinkage,
     lines: tuple[Standing, ...] = (),
     held: tuple[AsHealthy, ...] = (),
+    untested: str = "",
 ) -> str:
     """One sentence for people, or two.
 
@@ -52,18 +53,21 @@ def summary_of(
         Of every effect.
     held : tuple of AsHealthy
         What it has as any healthy device may.
+    untested : str
+        What these recordings hold that they cannot test.
     """
     if verdict == "none":
-        untested = sum(s.status == "not testable" for s in lines)
-        but = f", but {untested} of {len(lines)} effects cannot be tested with these recordings: see the list of those not testable"
+        count = sum(s.status == "not testable" for s in lines)
+        but = f", but {count} of {len(lines)} effects cannot be tested with these recordings: see the list of those not testable"
         explained = f"None: the linear device explains all {shrunk.dof} unseen figures to {shrunk.rms_before:.2f} of their noise"
         unusual = "; ".join(f"{h.name} ({_sizes(h.told or h.parameters)})" for h in held if h.times_usual > _UNUSUAL)
         as_some = (
             f" More than healthy devices usually have, but as some do: {unusual}. A fleet of healthy units decides." if unusual else ""
         )
-        return f"{explained}{but if untested > _MUCH_UNTESTED * len(lines) else ''}.{as_some}"
+        return f"{explained}{but if count > _MUCH_UNTESTED * len(lines) else ''}.{as_some}"
     if verdict == "not_testable":
-        return "Not testable: these recordings vary too little to tell an effect from the constants of a linear device."
+        little = "these recordings vary too little to tell an effect from the constants of a linear device"
+        return f"Not testable: {untested or little}."
     if unknown is not None:
         something = f"Beside {' and '.join(e.name for e in effects)}, by far the larger, something" if effects else "Something"
         return f"{something} that is not in the catalogue, {unknown.words()} (nearest known: {unknown.nearest or 'none'})."
