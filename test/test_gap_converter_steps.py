@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from test_gap_spectra import LINEAR, records
+from spectra_samples import LINEAR, records
 
 from gyro_calib.gap.converter_steps import ConverterSteps, converter_steps, step_of
 from gyro_calib.gap.heldout import Shrinkage

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from effect_samples import DRIVE_HZ, compiled_only, plain_device
-from test_gap_spectra import LINEAR, records
+from spectra_samples import LINEAR, records
 
 from gyro_calib.device import Device
 from gyro_calib.gap.flicker_effects import with_flickers

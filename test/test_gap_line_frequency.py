@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_gap_spectra import LINEAR, records
+from spectra_samples import LINEAR, records
 
 from gyro_calib.gap.spectra import pick_spectra
 from gyro_calib.gap.tones import Tone, find_tone

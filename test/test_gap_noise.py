@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from unittest import mock
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from quick_looks import healthy, look_of, looked_at
 
 from gyro_calib.gap import diagnose
 from gyro_calib.gap.column import Column
@@ -30,32 +29,13 @@ from gyro_calib.gap.select import _alike, _best_refined, _between_settings, _wit
 from gyro_calib.gap.strangers import MARGIN, bank_terms, worth_of
 from gyro_calib.gap.system import Stack
 from gyro_calib.gap.thermometer import OWN
-from gyro_calib.recording.applied_rate import is_turned
-from gyro_calib.recording.recording import Campaign, Recording
+from gyro_calib.recording.recording import Recording
 from gyro_calib.trial.plans import campaign_plan
 from gyro_calib.trial.plant import record_unit
-from gyro_calib.trial.sizing import imitators, size_effect
 from gyro_calib.trial.units import draw_trial_unit
 
 #: by how much a gain scatters from recording to recording
 SCATTER = 2e-5
-
-
-def looked_at(kind: str, sizes: Mapping[str, Mapping[str, float]], without: tuple[str, ...] = ()) -> CampaignModel:
-    """A unit that no table turns."""
-    unit, rng = draw_trial_unit(kind, 79, 1), np.random.default_rng(1)
-    return look_of(record_unit(unit, campaign_plan(kind, unit.device.factory(), rng, "quick"), sizes, rng), without)
-
-
-def look_of(campaign: Campaign, without: tuple[str, ...] = ()) -> CampaignModel:
-    f = campaign.factory
-    recordings = [r for r in usable(campaign) if not is_turned(r)]
-    return look_at(recordings, math.pi * f["nominal_f0_hz"] / f["nominal_q"], f["angular_gain_kappa"], without=without)
-
-
-@cache
-def healthy(kind: str) -> CampaignModel:
-    return looked_at(kind, {})
 
 
 def by_time(model: CampaignModel, name: str) -> dict[float, NDArray[np.float64]]:
@@ -182,34 +162,6 @@ def test_a_gain_follows_the_millikelvins_that_no_thermometer_reads() -> None:
     sd = float(np.sqrt(fit.covariance[own, own]))
     assert sd < 0.3
     assert abs(fit.values[own] - 1.0) < 3.0 * sd
-
-
-def test_a_thermometer_s_lag_is_seen_at_any_time() -> None:
-    """Its share of a time that is tried grows with the third power of how far that is off: between two of them one must come near."""
-    model = healthy("ring")
-    sized = size_effect(model, "thermal_lag", 8.0, np.random.default_rng(1))
-    assert sized is not None
-    assert sized.snr == pytest.approx(8.0, rel=0.01)
-    for tau in sized.sizes["tau"] * np.geomspace(1.0, 6.0, 7):
-        columns, _ = model.screener.projected(form_columns(model.evidence, FORMS["thermal_lag"], model.linear, {"tau": float(tau)}))
-        screener = copy.copy(model.screener)
-        screener.left = columns[:, 0]
-        (best,) = best_of_each(screener, {"thermal_lag": model.candidates["thermal_lag"]})
-        assert best.log_evidence > MARGIN, tau
-
-
-def test_what_changes_the_damping_can_be_drawn() -> None:
-    """Its time constant is no damping."""
-    for name in ("thermal_damping_curvature", "thermal_damping_lag", "thermal_damping_anisotropy", "thermal_damping_anisotropy_lag"):
-        assert size_effect(healthy("ring"), name, 10.0, np.random.default_rng(1)) is not None, name
-
-
-def test_a_charge_of_hours_is_a_drift() -> None:
-    """Where the registry lacks the drift a diagnosis finds the charge: of 40 the grid's longest time leaves 7."""
-    model = healthy("ring")
-    sized = size_effect(model, "split_drift", 40.0, np.random.default_rng(1))
-    assert sized is not None
-    assert imitators(model, sized, ("charge_accumulation",))["charge_accumulation"] < 1.0
 
 
 def test_an_effect_may_count_between_two_settings_alone() -> None:

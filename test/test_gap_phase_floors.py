@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from spectra_samples import LINEAR, records
 from test_gap_flickers import EVIDENCE, Evidence, laws
 from test_gap_gain_floors import flickering
-from test_gap_spectra import LINEAR, records
 
 from gyro_calib.device import draw_unit, load_device
 from gyro_calib.experiments import SimulatedInstrument, gap_ftr_plan, run_plan

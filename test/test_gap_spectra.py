@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from flow_samples import quiet_flows
 from scipy.integrate import solve_ivp
+from spectra_samples import LINEAR, ROWS_HZ, records
 
 from gyro_calib.gap.diagnose import _swaying_at_rest, _without_products
 from gyro_calib.gap.noise_growth import noise_growth
-from gyro_calib.gap.parts import Linear
 from gyro_calib.gap.reference_spur import _standing
 from gyro_calib.gap.screen import Candidate, Screened
 from gyro_calib.gap.select import Selection
@@ -22,44 +22,8 @@ from gyro_calib.gap.spectra import is_image, pick_spectra
 from gyro_calib.gap.spectral_effects import SpectralEffects, spectral_effects
 from gyro_calib.gap.swings import Swing
 from gyro_calib.gap.tones import Tone, _volts, find_tone
-from gyro_calib.recording.columns import COLUMNS
-from gyro_calib.recording.command import Command, Excitation, Setpoints
+from gyro_calib.recording.command import Command, Excitation
 from gyro_calib.recording.recording import Recording
-
-ROWS_HZ, NOISE_V = 500.0, 2e-6
-#: axes of a ring that ring alike; G turns a volt into -8i V/s
-LINEAR = Linear(-1.5 * np.eye(2) + 0j, -8j * np.eye(2), np.zeros((2, 2), complex), 0.8, 0.0)
-
-
-def records(
-    rng: np.random.Generator,
-    *,
-    carrier_hz: tuple[float, ...] = (15000.0, 15000.3),
-    hum: tuple[float, float] = (0.0, 0.0),
-    tone: tuple[float, float] = (0.0, 0.0),
-    ripple: tuple[float, float] = (0.0, 0.0),
-    gain: float = 0.0,
-    clock: float = 0.0,
-    of_each: int = 3,
-) -> list[Recording]:
-    """Held waves of three amplitudes: hum (Hz, V), tone (Hz, V on the pick-off), ripple (Hz, 1), noise of gain and phase per row."""
-    found = []
-    for k, amplitude in enumerate((0.6, 1.0, 1.4) * of_each):
-        count = 5000
-        t = 20.0 * k + np.arange(count) / ROWS_HZ
-        f = carrier_hz[k % len(carrier_hz)]
-        wave = amplitude * (1.0 + gain * rng.standard_normal(count) + 1j * clock * rng.standard_normal(count))
-        wave *= 1.0 + ripple[1] * np.cos(2 * np.pi * ripple[0] * t)
-        wave = wave + hum[1] * np.cos(2 * np.pi * hum[0] * t) + tone[1] * np.exp(2j * np.pi * (tone[0] - f) * t)
-        noise = NOISE_V * (rng.standard_normal((count, 2)) + 1j * rng.standard_normal((count, 2)))
-        rows = np.zeros((count, len(COLUMNS)))
-        rows[:, 0], rows[:, 1] = t, k + 1.0
-        for axis, x in enumerate((wave + noise[:, 0], noise[:, 1])):
-            rows[:, 2 + 2 * axis], rows[:, 3 + 2 * axis] = x.real, x.imag
-        rows[:, 10], rows[:, 11] = f, 25.0
-        command = Command("ftr_x", setpoints=Setpoints(amplitude_v=amplitude))
-        found.append(Recording("ring", rows, command, ROWS_HZ, f"static_{k}"))
-    return found
 
 
 def test_noise_alone_holds_neither_line_nor_growth() -> None:
@@ -250,45 +214,6 @@ def test_a_tone_within_two_hertz_of_the_carrier_is_one() -> None:
     assert tone is not None
     assert tone.name == "external_tone"
     assert tone.frequency_hz == pytest.approx(15001.6, abs=0.1)
-
-
-def test_a_tone_that_no_record_shows_by_itself_stands_in_all_of_them() -> None:
-    for seed in range(3):
-        spectra = pick_spectra(records(np.random.default_rng(seed), tone=(15041.7, 1.3e-7), of_each=10))
-        # a bin of noise alone has one of a hundred above 4.6
-        assert np.median([s.at(np.array([15041.7 - s.carrier_hz]))[0, 0] for s in spectra]) < 8.0
-        tone = find_tone(spectra, LINEAR)
-        assert tone is not None
-        assert tone.name == "external_tone"
-        assert tone.frequency_hz == pytest.approx(15041.7, abs=0.1)
-        assert tone.volts[0] == pytest.approx(1.3e-7 * 2 * np.pi * 41.55 / 8.0, abs=4.0 * tone.volts_sd[0])
-        assert tone.volts_sd[0] < 0.2 * tone.volts[0]
-        assert tone.volts[1] < 0.5 * tone.volts[0]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_some_records_show_faintly_is_no_line_of_all(seed: int) -> None:
-    """Loops in three records of a healthy hemisphere answered at 2.5 Hz: that mean of 104 bins, of which twelve held it, was a hum."""
-    plain, places = records(np.random.default_rng(seed), of_each=10), [4, 7, 12, 22, 25]
-    for k in places:
-        hum = 4.5e-7 * np.cos(2 * np.pi * 25.0 * plain[k].t)[:, None] * np.isin(np.arange(len(COLUMNS)), (2, 4))
-        plain[k] = replace(plain[k], data=plain[k].data + hum)
-    spectra = pick_spectra(plain)
-    power = np.array([s.at(np.array([25.0, -25.0])).mean() for s in spectra])
-    assert power[places].min() > 4.0 > 1.5 > np.delete(power, places).mean()
-    assert find_tone(spectra, LINEAR) is None
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_one_of_three_records_shows_is_no_line_of_all(seed: int) -> None:
-    """Of a hemisphere three records heard 2.6 Hz, one of a wave that warmed showed it four times: that was a hum of 17 in log evidence."""
-    plain = records(np.random.default_rng(seed), of_each=1)[:3]
-    hum = 9e-7 * np.cos(2 * np.pi * 25.0 * plain[1].t)[:, None] * np.isin(np.arange(len(COLUMNS)), (2, 4))
-    plain[1] = replace(plain[1], data=plain[1].data + hum)
-    spectra = pick_spectra(plain)
-    power = [s.at(np.array([25.0, -25.0])).mean() for s in spectra]
-    assert power[1] > 8.0 > 3.0 > max(power[0], power[2])
-    assert find_tone(spectra, LINEAR) is None
 
 
 def test_an_image_of_the_carrier_by_a_converter_is_no_tone() -> None:

@@ -247,7 +247,8 @@ def check_linear(
     if len(growing) == 2 and np.all(np.diag(G).imag < -_PUSHES * straight):
         raise DataError(
             f"Both modes must be damped, but got {A[0, 0].real:+.3g} and {A[1, 1].real:+.3g} 1/s with drives that push as they should: the "
-            "s of all columns look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn them."
+            "s of all columns look to have the wrong sign (c + i s, signal = c cos phi - s sin phi). Turn them. If they are right, "
+            "the device rings by itself, as one does that is pumped at twice its frequency by more than its damping."
         )
     for k, axis in enumerate("xy"):
         pushes = straight[k] > max(acts, _KNOWN * drives_sd[k])

@@ -27,7 +27,7 @@ __all__ = ["Sized", "imitators", "size_effect"]
 FloatArray = NDArray[np.float64]
 #: sizes beyond so many times the typical one are no longer the effect that the catalogue means
 _MOST_TYPICAL = 10.0
-#: share of the damping that may come or go by the temperature: a resonator with none does not hold still
+#: share of the damping that may come or go by the temperature or by a pump: a resonator with none does not hold still
 _MOST_DAMPING = 0.5
 #: an effect whose time is its size
 _LAG = "thermal_lag"
@@ -128,7 +128,9 @@ def _without_rest(found: Sequence[Column], columns: FloatArray) -> FloatArray:
 
 
 def _undamped(model: CampaignModel, name: str, sizes: Sequence[float]) -> bool:
-    """Whether a coefficient of the damping would leave the warmest recording with next to none."""
+    """Whether a coefficient of the damping would leave the warmest recording with next to none, or a pump any."""
+    if name.startswith("parametric_pump"):
+        return float(np.linalg.norm(sizes)) > _MOST_DAMPING * model.evidence.decay_rate
     if not name.startswith("thermal_damping"):
         return False
     warmest_k = max(float(np.abs(r.signals.temperature_k).max()) for r in model.evidence)
