@@ -12,7 +12,7 @@ __all__ = ["LOCATIONS", "MODES", "NEEDS", "Effect", "Parameter"]
 #: where an effect acts
 LOCATIONS = ("dynamics", "drive", "pick-off", "electronics", "environment")
 #: what recordings must vary, or hold, for an effect to show apart from the constants of a linear device
-NEEDS = ("amplitudes", "temperature", "rate", "time", "large drive", "open drive", "side bands", "azimuth")
+NEEDS = ("amplitudes", "temperature", "rate", "rates", "time", "large drive", "open drive", "side bands", "azimuth")
 #: campaigns in which an effect shows
 MODES = ("force-rebalance", "whole-angle")
 

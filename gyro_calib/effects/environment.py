@@ -319,7 +319,7 @@ MOTION = (
     Effect(
         "rate_nonlinearity", "Response not proportional to the rate", "environment", (42,),
         (signed("e", "s/rad", 1e-3, 1.0, "relative excess of the angular gain per rate"),),
-        ("rate",), BOTH,
+        ("rate", "rates"), BOTH,
         "p' += -e kappa Omega |Omega| J p",
         ("angular_gain_error", "rate_asymmetry"),
     ),

@@ -20,6 +20,7 @@ __all__ = ["experiment_for", "next_experiment"]
 _RECIPES = {
     "temperature": "Repeat the static recordings on both axes with the temperature ramped by 10 K and held",
     "rate": "Repeat a static recording on a rate table with steps of 10, 30 and 60 deg/s of both signs",
+    "rates": "Repeat a recording on the rate table with steps of both signs of a third of the usual rate and of twice as much",
     "amplitudes": "Repeat the recordings at two further amplitudes, a third lower and a third higher",
     "large drive": "Record virtual precession or a ring-up at twice the drive",
     "open drive": "Record open drive of each axis at +-20 and +-60 Hz from resonance, loops off",
@@ -48,6 +49,8 @@ _OF_UNKNOWN = {
 #: non-centrality at which two effects are told apart (gap.md: SNR times sine of the angle of 5); repeats beyond this are no plan
 _APART, _MOST_REPEATS = 25.0, 100.0
 _TEMPERATURE_K, _AMPLITUDES, _TURN_RAD = 2.0, 1.3, 2.0 * np.pi
+#: shares of the largest rate between which a table's is another, and the share of its time that makes it so: a motor passes by in 1 %
+_ANOTHER_RATE, _ITS_TIME = (0.1, 0.8), 0.05
 #: largest drive over the usual one of a held wave from which on it was large
 _LARGE = 3.0
 
@@ -61,6 +64,9 @@ def _varied(model: CampaignModel) -> set[str]:
         "temperature": np.ptp([float(r.signals.temperature_k.mean()) for r in model.evidence]) > _TEMPERATURE_K
         or any(r.is_warming for r in model.evidence),
         "rate": any(is_turned(r) for r in records),
+        "rates": _of_several_rates(
+            np.concatenate([r.signals.rate_rad_s for r in model.evidence if is_turned(r.recording)] or [np.zeros(1)])
+        ),
         "amplitudes": max(amplitudes) > _AMPLITUDES * min(amplitudes),
         "open drive": any(r.command.excitation.kind == "drive" for r in records),
         "side bands": any(r.command.excitation.kind.endswith("modulation") for r in records),
@@ -69,6 +75,14 @@ def _varied(model: CampaignModel) -> set[str]:
         "large drive": max(_volts(r) for r in model.evidence) > _LARGE * float(np.median([_volts(r) for r in waves])),
     }
     return {name for name, yes in found.items() if yes}
+
+
+def _of_several_rates(rate_rad_s: np.ndarray) -> bool:
+    """Whether a table turned at more than one speed: of one, an excess that grows with the rate is one of the angular gain."""
+    size = np.abs(rate_rad_s)
+    low, high = (share * float(size.max()) for share in _ANOTHER_RATE)
+    turning = size > low
+    return bool(np.mean(size[turning] < high) > _ITS_TIME) if np.any(turning) else False
 
 
 def _may_turn(model: CampaignModel) -> bool:
