@@ -34,7 +34,7 @@ _NAMES: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("phase_per_k",): ("thermal_drive_phase", "thermal_pickoff_phase"),
     ("damping_per_k", "damping_axis_per_k"): ("thermal_damping_anisotropy", "thermal_bias"),
     ("damping_per_k2",): ("thermal_damping_curvature",),
-    ("split_per_k", "split_per_frequency"): ("thermal_split",),
+    ("split_per_k", "split_axis_per_k"): ("thermal_split",),
     ("feedthrough_per_k",): ("thermal_feedthrough",),
     ("drive_lag_s", "envelope_lag_s"): ("drive_lag", "drive_delay"),
     ("sensor_lag_s", "gradient_lag_s"): ("thermal_lag",),

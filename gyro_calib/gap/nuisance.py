@@ -168,7 +168,6 @@ def _warm_feedthrough(evidence: CampaignEvidence, linear: Linear) -> list[Column
 def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column]:
     """What follows the temperature of the moment, but for the resonance."""
     damping, healthy = _damping(evidence, linear), evidence.healthy
-    split = healthy.split_per_frequency * abs(linear.frequency_slope_rad_s_k / evidence.omega0_rad_s)
     unequal = linear.A - np.eye(2) * np.trace(linear.A) / 2.0
     anisotropy, lossy = np.abs(unequal).max(), float(np.abs(unequal.real).max())
     columns = _form(evidence, linear, "thermal_damping", {"c": healthy.damping_per_k * damping})
@@ -176,7 +175,7 @@ def following_columns(evidence: CampaignEvidence, linear: Linear) -> list[Column
     columns += _scaled(evidence, linear, 1j * _split_of(linear), "split_per_k", healthy.split_per_k)
     sd = healthy.damping_axis_per_k * (lossy + _OTHERWISE_OF_ALL * damping)
     columns += _form(evidence, linear, "thermal_damping_anisotropy", {"c_c": sd, "c_s": sd})
-    columns += _form(evidence, linear, "thermal_split", {"k_c": split * anisotropy, "k_s": split * anisotropy})
+    columns += _form(evidence, linear, "thermal_split", dict.fromkeys(("k_c", "k_s"), healthy.split_axis_per_k * anisotropy))
     for name in ("thermal_drive_gain", "thermal_pickoff_gain"):
         columns += _form(evidence, linear, name, dict.fromkeys(("g_x", "g_y"), healthy.axis_gain_per_k))
         columns += _of_both(evidence, linear, name, healthy.gain_per_k)
