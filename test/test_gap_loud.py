@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gyro_calib.gap import loud as loud_module
+from gyro_calib.gap.diagnosis import FoundEffect
 from gyro_calib.gap.evidence import CHANNELS
 from gyro_calib.gap.loud import Loud
 from gyro_calib.gap.model import CampaignModel
@@ -94,6 +95,15 @@ def test_what_a_delay_does_where_the_drive_changes_is_not_testable_without_an_op
     assert loud is not None
     assert loud.untested == bool(changing and "open drive" in missing)
     assert ("nothing tells those without an open drive of both axes" in loud.warning()) == loud.untested
+
+
+def test_a_small_effect_beside_it_is_not_its_cause() -> None:
+    """Of a preamplifier that changes its range one side band held 23 times its noise, and a dry friction of 69 was the verdict."""
+    loud = loudest(model({(1, "amplitude"): 23.0}))
+    assert loud is not None
+    assert loud.gain == loud.unknown().gain == 23.0 * 20
+    small, large = (cast(FoundEffect, SimpleNamespace(gain=gain)) for gain in (69.0, 1e4))
+    assert [loud.may_be_of(effects) for effects in ([], [small], [small, large])] == [False, False, True]
 
 
 def test_a_resonance_wanders_now_more_now_less() -> None:

@@ -140,7 +140,9 @@ def _diagnose(campaign: Campaign, left_out: tuple[str, ...], healthy: HealthySpr
         unknown = ringing.unknown()
     if (loud := loudest(model, rich)) is not None:
         warnings = [*warnings, loud.warning()]
-        unknown = unknown or (None if effects or loud.untested else loud.unknown())
+        # what stands in spectra may be what is loud
+        explained = bool(beside.effects) or loud.may_be_of(effects)
+        unknown = unknown or (None if explained or loud.untested else loud.unknown())
     warnings = [*warnings, *loops.warnings]
     # of the slow flow, and of what no name fits in it, what the loops hold says nothing
     effects += loops.effects + circulatory

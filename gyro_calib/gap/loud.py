@@ -3,6 +3,9 @@
 Of recordings whose temperature moves there are two or three, each by itself, so what they hold beyond every effect is their noise: of a
 damping that peaks where a resonance of the gas is passed, 80 and 1200 times the noise at rest was believed, and there was seven times that.
 
+A small effect beside it is none of its cause: of a preamplifier that changes its range one side band held 23 times its noise, 460 in
+squares, and a dry friction of 69 was the verdict.
+
 The frequency is that of a resonator whose own temperature wanders by millikelvins, now more, now less: the loudest of eight records of a
 healthy hemisphere held nine times what all of them did.
 
@@ -12,13 +15,14 @@ band that is loud has no name because nobody could ask, not because there is non
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..recording.applied_rate import is_turned
-from .diagnosis import Unknown
+from .diagnosis import FoundEffect, Unknown
 from .evidence import CHANNELS, RecordingEvidence
 from .missing import missing_of
 from .model import CampaignModel
@@ -60,6 +64,15 @@ class Loud:
     warmed: bool = False
     untested: bool = False
 
+    @property
+    def gain(self) -> float:
+        """What it is worth: squares of its channel, over the noise of its kind."""
+        return self.ratio * self.equations
+
+    def may_be_of(self, effects: Sequence[FoundEffect]) -> bool:
+        """Whether one of them is worth more, so that its form, of first order, may have left this."""
+        return any(e.gain > self.gain for e in effects)
+
     def warning(self) -> str:
         """For the reader of any verdict."""
         if self.untested:
@@ -85,7 +98,7 @@ class Loud:
         holds = "holds while its temperature moves" if self.warmed else "alone holds"
         form = f"what recording {self.label} {holds} ({self.channel}, {self.ratio:.0f} times the noise of {self._kind})"
         depends = "temperature" if self.warmed else "recording"
-        return Unknown("environment", "phase not told", form, depends, "", self.ratio * self.equations)
+        return Unknown("environment", "phase not told", form, depends, "", self.gain)
 
 
 def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
