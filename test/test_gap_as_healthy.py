@@ -97,6 +97,6 @@ def test_the_axes_of_a_split_turn_with_the_temperature() -> None:
     model = healthy("ring")
     unequal = float(np.abs(model.linear.A - np.eye(2) * np.trace(model.linear.A) / 2.0).max())
     allowed = {c.name: c.prior_sd / unequal for c in model.nuisances if c.name.startswith("thermal_split.")}
-    assert allowed == {"thermal_split.k_c": pytest.approx(5e-4, rel=0.2), "thermal_split.k_s": pytest.approx(5e-4, rel=0.2)}
+    assert allowed == {"thermal_split.k_c": pytest.approx(1e-3, rel=0.2), "thermal_split.k_s": pytest.approx(1e-3, rel=0.2)}
     found = looked_at("ring", {"thermal_split": {"k_c": 8e-3 * unequal, "k_s": -8e-3 * unequal}})
     assert [e.name for e in select_effects(found).effects] == ["thermal_split"]

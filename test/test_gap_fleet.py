@@ -147,7 +147,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bound", [2e-6, 1.2345e-5, 1.0])
 def test_sizes_of_any_digits_are_numbers_to_who_reads_them(tmp_path: Path, bound: float) -> None:
     """2e-06 is a text to YAML; by hand it is written so all the same."""
-    write_fleet(tmp_path / "f.yaml", 15000.0, ["a"], [FleetSize("split_axis_per_k", 0.5 * bound, bound, 5e-4)])
+    write_fleet(tmp_path / "f.yaml", 15000.0, ["a"], [FleetSize("split_axis_per_k", 0.5 * bound, bound, 1e-3)])
     assert read_fleet(tmp_path / "f.yaml").healthy.split_axis_per_k == pytest.approx(bound, rel=5e-3)
     (tmp_path / "f.yaml").write_text("healthy: {gain_per_k: 1e-5}\nnominal_f0_hz: 1e4")
     assert read_fleet(tmp_path / "f.yaml").healthy.gain_per_k == 1e-5

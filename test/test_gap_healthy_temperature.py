@@ -85,14 +85,14 @@ def test_losses_that_keep_their_pattern_are_one_column() -> None:
         assert np.abs(one - other).max() < (1e-6 + 2.0 * turned) * largest
 
 
-def test_a_split_that_moves_by_a_milliradian_per_second_and_kelvin_across_its_own_direction_shows() -> None:
+def test_a_split_that_moves_across_its_own_direction_shows_from_some_thousandths_of_it() -> None:
     """Axes of healthy devices turn by half a milliradian per kelvin: 2e-4 rad/s/K, 6e-4/K of this split, are no more than that."""
     m = model()
     (split,) = m.candidates["thermal_split"]
     clean, _ = m.screener.projected(split.columns)
     own, across = _own_direction(m)
-    assert (1e-3 * np.linalg.norm(clean @ across)) ** 2 > 25.0 > 9.0 > (2e-4 * np.linalg.norm(clean @ across)) ** 2
-    assert np.linalg.norm(clean @ across) > 1.2 * np.linalg.norm(clean @ own)
+    assert (2e-3 * np.linalg.norm(clean @ across)) ** 2 > 25.0 > 9.0 > (2e-4 * np.linalg.norm(clean @ across)) ** 2
+    assert np.linalg.norm(clean @ across) > 1.1 * np.linalg.norm(clean @ own)
 
 
 def test_a_split_that_keeps_its_direction_may_move_by_thousandths_of_itself() -> None:
@@ -101,9 +101,9 @@ def test_a_split_that_keeps_its_direction_may_move_by_thousandths_of_itself() ->
     (split,) = m.candidates["thermal_split"]
     own, across = _own_direction(m)
     half = np.linalg.norm(m.linear.A.imag - np.eye(2) * np.trace(m.linear.A.imag) / 2.0) / np.sqrt(2.0)
-    for direction, named in ((own, False), (across, True)):
+    for direction, per_k, named in ((own, 3e-3, False), (across, 1e-3, False), (across, 8e-3, True)):
         column = replace(split.columns[0], signal=_along(split, direction, "signal"), quiet=_along(split, direction, "quiet"))
-        names = [e.name for e in select_effects(with_columns(m, [(column, 3e-3 * half)])).effects]
+        names = [e.name for e in select_effects(with_columns(m, [(column, per_k * half)])).effects]
         assert ("thermal_split" in names) is named
 
 

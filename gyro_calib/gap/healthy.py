@@ -60,7 +60,7 @@ class HealthySpread:
     damping_per_k2: float = 3e-5
     damping_axis_per_k: float = 1e-3
     split_per_k: float = 1e-3
-    split_axis_per_k: float = 5e-4
+    split_axis_per_k: float = 1e-3
     feedthrough_per_k: float = 3e-4
     drive_lag_s: float = 3e-5
     envelope_lag_s: float = 1e-5
