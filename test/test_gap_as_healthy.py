@@ -93,7 +93,7 @@ def test_the_diagnosis_says_it_in_words_rows_and_json() -> None:
 
 
 def test_the_axes_of_a_split_turn_with_the_temperature() -> None:
-    """All healthy units of a plant by another hand had a *thermal split*, for theirs turned by 0.07 to 0.9 mrad/K."""
+    """All healthy units of a plant by another hand had a *thermal split*, for theirs turned by 0.07 to 0.3 mrad/K."""
     model = healthy("ring")
     unequal = float(np.abs(model.linear.A - np.eye(2) * np.trace(model.linear.A) / 2.0).max())
     allowed = {c.name: c.prior_sd / unequal for c in model.nuisances if c.name.startswith("thermal_split.")}

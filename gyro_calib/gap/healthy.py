@@ -31,8 +31,8 @@ class HealthySpread:
         Damping that does not go as all of it does, over its anisotropy [1/K].
     split_per_k, split_axis_per_k : float
         A split by its own size, and in any direction over all that is unequal [1/K]: what trims and gaps left of larger ones, each with a
-        coefficient of its own. On a plant by another hand axes turned by 0.4 mrad/K (rms), twice that of the split itself, of whatever
-        device; by another 0.1 mrad/K.
+        coefficient of its own. On a plant by another hand the axes of 24 units turned by 0.45 mrad/K (rms), which moves a split across
+        itself by twice that share.
     feedthrough_per_k : float
         What feeds through, of itself [1/K]: strays by way of a board, whose permittivity moves by some 300 ppm/K.
     drive_lag_s : float

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from ..recording.applied_rate import is_turned
 from .diagnosis import FoundEffect, Unknown
 from .evidence import CHANNELS, RecordingEvidence
-from .missing import missing_of
+from .missing import drive_changes
 from .model import CampaignModel
-from .nuisance import SWITCHED
+from .saturated import open_drive
 from .signals import held_readings
 from .system import Solution
 
@@ -110,7 +110,7 @@ def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
     solution : Solution
         With the effects that were chosen: what they explain of a recording is not loud.
     """
-    found, first, untold = [], 0, "open drive" in missing_of(model.evidence)
+    found, first, untold = [], 0, not open_drive(model.evidence)
     for r in model.evidence:
         rows = slice(first, first := first + 2 * r.signal.lhs.size)
         for channel in CHANNELS:
@@ -118,16 +118,13 @@ def loudest(model: CampaignModel, solution: Solution) -> Loud | None:
                 continue
             left = _left(solution.residual[rows], model.base.residual[rows], channel)
             if not is_turned(r.recording) and (own := left * model.excess.get((r.index, channel), 0.0)) > _LOUD:
-                found.append(Loud(r.recording.label, channel, own, r.signal.lhs.size, untested=untold and _drive_changes(r)))
+                found.append(
+                    Loud(r.recording.label, channel, own, r.signal.lhs.size, untested=untold and drive_changes(r.recording.command))
+                )
             warmed = left * _over_rest(model, r, channel) if _is_told_warming(r) else 0.0
             if warmed > (_WARMED if channel == "amplitude" else _WARMED_ACROSS):
                 found.append(Loud(r.recording.label, channel, warmed, r.signal.lhs.size, warmed=True))
     return max(found, key=lambda loud: loud.ratio, default=None)
-
-
-def _drive_changes(r: RecordingEvidence) -> bool:
-    command = r.recording.command
-    return command.excitation.kind.endswith("modulation") or command.mode in SWITCHED
 
 
 def _left(residual: FloatArray, before: FloatArray, channel: str) -> float:

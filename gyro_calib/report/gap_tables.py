@@ -37,7 +37,7 @@ def effects_table(diagnosis: Diagnosis) -> Table:
     for words, probability in _beside_the_named(diagnosis):
         rows.append((words, "", _percent(probability), "", ""))
     header = ("effect", "size", "probability", "acts in", "cannot be told from")
-    caption = "" if rows else "Nothing is told: these recordings vary too little."
+    caption = "" if rows else "Nothing is told of any effect."
     return Table("Which effects", header, tuple(rows), caption, optional=(3, 4))
 
 
